@@ -1,0 +1,5 @@
+"""`python -m mapfusion_cli`."""
+
+from mapfusion_cli.main import run
+
+run()

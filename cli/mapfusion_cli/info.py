@@ -1,0 +1,111 @@
+"""`mapfusion info`: what replay would use of recordings, and why."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mapfusion_cli.options import (
+    AlignStartOption,
+    BaseFrameOption,
+    Clock,
+    ClockOption,
+    DropOption,
+    PoseOption,
+    RobotOption,
+    existing,
+    mission_options,
+)
+
+if TYPE_CHECKING:
+    from mapfusion_io.mission import Mission
+
+
+def info(
+    inputs: Annotated[list[Path], typer.Argument(metavar="INPUT...", help="Recordings.")],
+    clock: ClockOption = Clock.header,
+    align_start: AlignStartOption = False,
+    robot: RobotOption = None,
+    drop: DropOption = None,
+    pose: PoseOption = None,
+    base_frame: BaseFrameOption = None,
+    json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Show what replay would use of recordings and why, what it would pass over, and the command to run.
+
+    Exit codes: 0 done, 1 a recording cannot be read, 2 wrong usage, 3 messages were lost.
+    """
+    import json as json_library
+
+    from mapfusion_cli.replay import DONE_WITH_LOSSES
+    from mapfusion_io.mission import open_recording
+    from mapfusion_io.mission_summary import mission_document
+
+    existing(inputs)
+    options = mission_options(
+        clock=clock, align_start=align_start, robot=robot, drop=drop, pose=pose, base_frame=base_frame
+    )
+    mission = open_recording(inputs, options)
+    for _ in mission.events():  # so that maps which do not fit to each other are found as well
+        pass
+    command = _replay_command(inputs, align_start=align_start, robot=robot, drop=drop, pose=pose, base_frame=base_frame)
+    if json:
+        document = {**mission_document(mission), "replay_command": command}
+        typer.echo(json_library.dumps(document, indent=2, sort_keys=True, allow_nan=False))
+    else:
+        typer.echo(info_text(mission, command))
+    if mission.losses:
+        raise typer.Exit(DONE_WITH_LOSSES)
+
+
+def info_text(mission: Mission, command: str) -> str:
+    """The mission for a person to read."""
+    from mapfusion_cli.result import losses_text, table
+
+    lines = []
+    for survey in mission.surveys:
+        count = sum(topic.count for topic in survey.topics.values())
+        lines.append(
+            f"{survey.recording.path.name}: {survey.recording.container}, {survey.size_bytes / 1e6:.1f} MB, "
+            f"{count} messages{'' if survey.recording.integrity_verifiable else ', integrity not verifiable'}"
+        )
+    if mission.robots:
+        lines += ["", f"robots ({len(mission.robots)}), {(mission.last_ns - mission.first_ns) * 1e-9:.1f} s:"]
+        rows = [("name", "recording", "map topic", "frame", "maps", "updates", "last map", "poses from")]
+        for robot in mission.robots:
+            grid = robot.found.topic.last_grid
+            rows.append(
+                (
+                    robot.name,
+                    robot.found.survey.recording.path.name,
+                    robot.found.topic.topic,
+                    robot.found.map_frame,
+                    str(len(robot.found.topic.stamps_ns)),
+                    "-" if robot.updates is None else str(len(robot.updates.stamps_ns)),
+                    "-" if grid is None else f"{grid.width} x {grid.height} at {grid.resolution_m:.3g} m",
+                    robot.poses.origin if robot.poses.source is not None else f"none: {robot.poses.origin}",
+                )
+            )
+        lines += table(rows)
+    passed = [(item.source, item.topic, str(item.count), item.schema_name, item.reason) for item in mission.passed_over]
+    if passed:
+        lines += ["", "passed over:", *table([("recording", "topic", "messages", "type", "reason"), *passed])]
+    lines += [f"warning: {warning}" for warning in mission.warnings]
+    lines += losses_text(mission.losses)
+    if len(mission.robots) >= 2:
+        lines += ["", "replay with:", f"  {command}"]
+    else:
+        lines += ["", f"nothing to fuse: {len(mission.robots)} robots with a map, two are needed"]
+    return "\n".join(lines)
+
+
+def _replay_command(inputs: list[Path], *, align_start: bool, **repeated: list[str] | None) -> str:
+    """A line to paste, with the options that were given."""
+    options = ["--align-start"] if align_start else []
+    for name, values in repeated.items():
+        for value in values or ():
+            options += [f"--{name.replace('_', '-')}", value]
+    return shlex.join(["mapfusion", "replay", *map(str, inputs), "fused.mcap", *options])

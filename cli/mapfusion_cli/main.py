@@ -1,0 +1,90 @@
+"""The command `mapfusion`: its verbs, and the one place where errors become words and exit codes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+from mapfusion.errors import ConfigError, MapfusionError
+from mapfusion.version import __version__
+from mapfusion_cli.evaluate import evaluate
+from mapfusion_cli.info import info
+from mapfusion_cli.replay import replay
+from mapfusion_cli.simulate import simulate
+
+FAILED, USAGE = 1, 2
+"""Exit codes; 0 is done and 3 is done with losses."""
+DEBUG_VARIABLE = "MAPFUSION_DEBUG"
+"""Set in the environment, an error of the program itself shows its traceback."""
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Fuses the recorded occupancy grids of several robots into one map, and says how far to trust it.",
+)
+app.command()(replay)
+app.command()(info)
+app.command()(simulate)
+app.command()(evaluate)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"mapfusion {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the command; always ends in SystemExit.
+
+    Args:
+        arguments: Instead of the process's own.
+    """
+    try:
+        with _terminated_like_interrupted():
+            app(args=None if arguments is None else list(arguments), prog_name="mapfusion")
+    except ConfigError as error:
+        _fail(str(error), USAGE)
+    except MapfusionError as error:
+        _fail(str(error), FAILED)
+    except MemoryError:
+        _fail("out of memory", FAILED)
+    except Exception as error:
+        if os.environ.get(DEBUG_VARIABLE):
+            raise
+        _fail(f"an error of mapfusion itself: {error!r}\nPlease report it, with what {DEBUG_VARIABLE}=1 shows.", FAILED)
+
+
+def _fail(words: str, code: int) -> None:
+    typer.echo(f"mapfusion: {words}", err=True)
+    raise SystemExit(code)
+
+
+@contextlib.contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """SIGTERM unwinds the stack as Ctrl-C does, so that no half-written file is left."""
+
+    def terminate(signum: int, frame: FrameType | None) -> None:
+        raise SystemExit(128 + signum)
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

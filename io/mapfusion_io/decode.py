@@ -1,0 +1,133 @@
+"""From the bytes of a message to an object, by the definition that the recording carries."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from rosbags.serde import SerdeError
+from rosbags.typesys.store import Typestore
+
+from mapfusion.errors import LogReadError, MalformedMessageError
+from mapfusion_io.definitions import DefinitionError, default_store, store_from
+from mapfusion_io.interfaces import Channel, RawMessage
+from mapfusion_io.read_errors import printable
+
+__all__ = ["Decoder", "MalformedMessageError", "peek_stamp_frame"]
+
+logger = logging.getLogger(__name__)
+
+_DEFINITION_ENCODINGS = frozenset({"ros2msg", "ros2idl", "ros1msg"})
+_MESSAGE_ENCODINGS = frozenset({"cdr", "ros1"})
+_CDR_HEADER_BYTES = 4
+_CDR_KINDS = frozenset({0x00, 0x01, 0x06, 0x07})
+"""Encapsulations in which a std_msgs/Header lies plainly: CDR and plain XCDR2; odd ones are little endian.
+
+Source: OMG DDS-XTYPES 1.3, table 60.
+"""
+_LARGE_BYTES = 65_536
+_STAMP_LENGTH = {order: struct.Struct(f"{order}iII") for order in "<>"}
+_SEQ_STAMP_LENGTH = struct.Struct("<IIII")
+
+
+class _Type(NamedTuple):
+    deserialize: Callable[[bytes | memoryview, str], object]
+    name: str
+
+
+class Decoder:
+    """Decodes messages of any recording; what a channel's definition says is worked out once."""
+
+    def __init__(self) -> None:
+        self._types: dict[Channel, _Type | str] = {}
+
+    def supported(self, channel: Channel) -> str | None:
+        """Why messages of a channel cannot be decoded, in words; None where they can."""
+        found = self._type_of(channel)
+        return found if isinstance(found, str) else None
+
+    def decode(self, raw: RawMessage) -> Any:
+        """The message as rosbags gives it; arrays of numbers are read-only views of its bytes.
+
+        Raises:
+            MalformedMessageError: The bytes are not such a message.
+            LogReadError: No message of this channel can be decoded; `supported` says why.
+        """
+        channel = raw.channel
+        found = self._types.get(channel)
+        if found is None or isinstance(found, str):
+            found = self._require_type(channel)
+        data = raw.data
+        if len(data) > _LARGE_BYTES:
+            data = memoryview(data)  # rosbags cuts off the first bytes, which would copy the rest
+        try:
+            return found.deserialize(data, found.name)
+        except (SerdeError, struct.error, ValueError, IndexError, OverflowError, MemoryError, RecursionError) as error:
+            reason = f"its bytes are no {printable(found.name)}"
+            raise MalformedMessageError(channel.topic, raw.log_time_ns, reason) from error
+
+    def _require_type(self, channel: Channel) -> _Type:
+        found = self._type_of(channel)
+        if isinstance(found, str):
+            raise LogReadError(f"{printable(channel.topic)}: {found}")
+        return found
+
+    def _type_of(self, channel: Channel) -> _Type | str:
+        """How to decode a channel's messages, or why that is not possible."""
+        if channel not in self._types:
+            self._types[channel] = _find_type(channel)
+        return self._types[channel]
+
+
+def _find_type(channel: Channel) -> _Type | str:
+    """The channel's own definition comes first; one that cannot be used is replaced by the usual one of that name."""
+    name = printable(channel.schema_name)
+    if channel.message_encoding not in _MESSAGE_ENCODINGS:
+        return f"messages in {printable(channel.message_encoding) or 'no'} encoding, only cdr and ros1 can be decoded"
+    problem = "the recording holds no definition of it"
+    if channel.schema_data and channel.schema_encoding in _DEFINITION_ENCODINGS:
+        try:
+            store = store_from(channel.schema_name, channel.schema_encoding, channel.schema_data)
+            return _with_store(store, channel)
+        except DefinitionError as error:
+            problem = printable(f"its definition cannot be used: {error}")
+    elif channel.schema_data:
+        problem = f"its definition is in {printable(channel.schema_encoding)!r}, which is not known"
+    store = default_store(channel.message_encoding)
+    if channel.schema_name not in store.fielddefs:
+        return f"type {name!r}: {problem}"
+    if channel.schema_data:
+        logger.warning("%s: type %s: %s; the usual one is taken", printable(channel.topic), name, problem)
+    return _with_store(store, channel)
+
+
+def _with_store(store: Typestore, channel: Channel) -> _Type:
+    deserialize = store.deserialize_ros1 if channel.message_encoding == "ros1" else store.deserialize_cdr
+    return _Type(deserialize, channel.schema_name)
+
+
+def peek_stamp_frame(raw: RawMessage) -> tuple[int, str]:
+    """Stamp in nanoseconds and frame id of a message that starts with a std_msgs/Header; the rest is not looked at.
+
+    Raises:
+        MalformedMessageError: The bytes do not start with a header.
+    """
+    data = raw.data
+    try:
+        if raw.channel.message_encoding == "ros1":
+            _, sec, nanosec, length = _SEQ_STAMP_LENGTH.unpack_from(data)
+            start, end = _SEQ_STAMP_LENGTH.size, _SEQ_STAMP_LENGTH.size + length
+        else:
+            if len(data) < _CDR_HEADER_BYTES or data[0] != 0 or data[1] not in _CDR_KINDS:
+                raise ValueError("unknown encapsulation")
+            sec, nanosec, length = _STAMP_LENGTH["<" if data[1] & 1 else ">"].unpack_from(data, _CDR_HEADER_BYTES)
+            start = _CDR_HEADER_BYTES + 12
+            end = start + length - 1  # without the NUL at its end
+        if not start <= end <= len(data):
+            raise ValueError("its frame id does not fit")
+        return sec * 1_000_000_000 + nanosec, bytes(data[start:end]).decode()
+    except (struct.error, ValueError) as error:
+        reason = "its bytes do not start with a header"
+        raise MalformedMessageError(raw.channel.topic, raw.log_time_ns, reason) from error

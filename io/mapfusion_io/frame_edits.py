@@ -1,0 +1,81 @@
+"""Other frame names and other stamps in any ROS 2 message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.base import normalize_fieldname
+from rosbags.typesys.store import Typestore
+
+FrameNames = Callable[[str], str]
+"""The new name of a frame, given its old name without a leading slash."""
+
+_HEADER = "std_msgs/msg/Header"
+_FRAME_FIELDS = ("frame_id", "child_frame_id")
+
+_Plan = tuple[tuple[str, str, bool], ...]
+
+
+class FrameEdits:
+    """Renames the frames of messages and shifts their header stamps, in place.
+
+    Frames are the text fields named `frame_id` and `child_frame_id`, wherever they stand in a message. Empty frames
+    and stamps of zero mean something else and stay.
+
+    Args:
+        store: Knows the types of the messages.
+        rename: New names of frames; a leading slash, which ROS 2 does not have, is dropped before and for good.
+        shift_ns: Added to the stamps.
+    """
+
+    def __init__(self, store: Typestore, rename: FrameNames, shift_ns: int) -> None:
+        self._store = store
+        self._rename = rename
+        self._shift_ns = shift_ns
+        self._plans: dict[str, _Plan] = {}
+
+    def apply(self, message: Any, type_name: str) -> bool:
+        """Edits a deserialised message and tells whether that changed anything."""
+        changed = type_name == _HEADER and self._shift(message.stamp)
+        for field, nested, is_many in self._plan(type_name):
+            value = getattr(message, field)
+            if not nested:
+                changed |= self._rename_field(message, field, value)
+            else:
+                for part in value if is_many else (value,):
+                    changed |= self.apply(part, nested)
+        return changed
+
+    def _rename_field(self, message: Any, field: str, frame: str) -> bool:
+        if not frame:
+            return False
+        renamed = self._rename(frame.lstrip("/"))
+        setattr(message, field, renamed)
+        return renamed != frame
+
+    def _shift(self, stamp: Any) -> bool:
+        if not self._shift_ns or not (stamp.sec or stamp.nanosec):
+            return False
+        stamp.sec, stamp.nanosec = divmod(stamp.sec * 10**9 + stamp.nanosec + self._shift_ns, 10**9)
+        return True
+
+    def _plan(self, type_name: str) -> _Plan:
+        """What there is to do in a type: (field, its message type or '' for a frame name, whether it is an array)."""
+        if type_name not in self._plans:
+            self._plans[type_name] = tuple(self._fields(type_name))
+        return self._plans[type_name]
+
+    def _fields(self, type_name: str) -> list[tuple[str, str, bool]]:
+        found = []
+        for name, desc in self._store.fielddefs[type_name][1]:
+            inner = desc[1][0] if desc[0] == Nodetype.ARRAY or desc[0] == Nodetype.SEQUENCE else desc
+            is_many = inner is not desc
+            field = normalize_fieldname(name)
+            if inner[0] == Nodetype.NAME:
+                if self._plan(inner[1]):
+                    found.append((field, inner[1], is_many))
+            elif name in _FRAME_FIELDS and inner[1][0] == "string" and not is_many:
+                found.append((field, "", False))
+        return found

@@ -1,0 +1,86 @@
+"""The summary at the end of an MCAP file: believed where its checksum holds, done without where it does not."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
+
+from mapfusion_io.mcap_records import HEAD, MAGIC, DamagedError, framed, parse
+from mapfusion_io.read_limits import ReadLimits
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What the end of the file says about the rest. All empty where there is no summary that can be believed.
+
+    Attributes:
+        schemas: By id.
+        channels: By id.
+        chunk_offsets: Where the chunks start, ascending.
+        message_counts: Number of messages by channel id, None where it holds no statistics.
+        data_crc: CRC of everything before the DataEnd record, 0 where there is none.
+        data_end: Offset of the DataEnd record, 0 where it is not known.
+    """
+
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
+    chunk_offsets: tuple[int, ...] = ()
+    message_counts: dict[int, int] | None = None
+    data_crc: int = 0
+    data_end: int = 0
+
+
+def read_summary(file: BinaryIO, size: int, limits: ReadLimits) -> Summary:
+    """The summary at the end of the file; an empty one where it is missing or damaged."""
+    summary = Summary({}, {})
+    footer_offset = size - len(MAGIC) - 20 - HEAD.size
+    if footer_offset < len(MAGIC):
+        return summary
+    file.seek(footer_offset)
+    tail = file.read()
+    if tail[: HEAD.size] != HEAD.pack(Opcode.FOOTER, 20) or not tail.endswith(MAGIC):
+        return summary
+    footer = parse(Footer.read, tail[HEAD.size : HEAD.size + 20])
+    start = footer.summary_start or footer_offset
+    if not len(MAGIC) <= start <= footer_offset or footer_offset - start > limits.record_bytes:
+        return summary
+    file.seek(start)
+    section = file.read(footer_offset - start)
+    if footer.summary_crc and zlib.crc32(section + tail[: HEAD.size + 16]) != footer.summary_crc:
+        return summary
+    data_end = start - HEAD.size - 4
+    if data_end >= len(MAGIC):
+        file.seek(data_end)
+        data_end_record = file.read(HEAD.size + 4)
+        if data_end_record[: HEAD.size] == HEAD.pack(Opcode.DATA_END, 4):
+            summary = Summary(
+                {}, {}, data_crc=int.from_bytes(data_end_record[HEAD.size :], "little"), data_end=data_end
+            )
+    try:
+        return _parsed_summary(section, summary)
+    except DamagedError:
+        return summary
+
+
+def _parsed_summary(section: bytes, found: Summary) -> Summary:
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    chunk_offsets: list[int] = []
+    message_counts: dict[int, int] | None = None
+    for opcode, start, end in framed(section, max_idle=len(section)):
+        body = section[start:end]
+        if opcode == Opcode.SCHEMA:
+            schema = parse(Schema.read, body)
+            schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = parse(Channel.read, body)
+            channels[channel.id] = channel
+        elif opcode == Opcode.CHUNK_INDEX:
+            chunk_offsets.append(parse(ChunkIndex.read, body).chunk_start_offset)
+        elif opcode == Opcode.STATISTICS:
+            message_counts = parse(Statistics.read, body).channel_message_counts
+    return Summary(schemas, channels, tuple(sorted(chunk_offsets)), message_counts, found.data_crc, found.data_end)

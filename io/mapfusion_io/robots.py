@@ -1,0 +1,264 @@
+"""Finding the robots of a mission: which map topic is whose, how it is named, and which frames are its own."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from mapfusion.errors import ConfigError
+from mapfusion.steps import natural_key
+from mapfusion_io.survey import Survey, TopicSurvey
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapTopic:
+    """A robot as it was found.
+
+    Attributes:
+        robot: Its name.
+        survey: The recording that holds its maps.
+        topic: Its map topic.
+        frame: Frame of its maps as recorded.
+        map_frame: The same, unique among the robots.
+    """
+
+    robot: str
+    survey: Survey
+    topic: TopicSurvey
+    frame: str
+    map_frame: str
+
+    @property
+    def namespace(self) -> str:
+        """Namespace of its topics, without outer slashes; empty where there is none."""
+        return self.topic.namespace
+
+
+@dataclass(frozen=True, slots=True)
+class PassedOver:
+    """A topic that is not used.
+
+    Attributes:
+        source: Name of the recording.
+        topic: The topic.
+        schema_name: Type of its messages.
+        count: Number of its messages.
+        reason: Why it is not used, in words.
+    """
+
+    source: str
+    topic: str
+    schema_name: str
+    count: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class RobotOverrides:
+    """What the user said about the robots.
+
+    Attributes:
+        maps: Topic by robot name, as TOPIC or FILE:TOPIC.
+        drop: Names of robots to leave out.
+    """
+
+    maps: Mapping[str, str] = field(default_factory=dict)
+    drop: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UniqueFrames:
+    """Makes the frames of several recordings unique.
+
+    Attributes:
+        of_recording: Prefix of all frames of a recording, by its name; empty for most.
+        of_namespace: By recording and namespace, where topics are namespaced and frames are not.
+    """
+
+    of_recording: Mapping[str, str]
+    of_namespace: Mapping[tuple[str, str], str]
+
+    def unique(self, survey: Survey, topic: str, frame: str) -> str:
+        """The frame that a message on `topic` means when it says `frame`."""
+        prefix = self._namespace_prefix(survey, topic)
+        inner = frame if frame.startswith(prefix) else prefix + frame
+        return self.of_recording[survey.name] + inner
+
+    def changes(self, survey: Survey, topic: str) -> bool:
+        """Whether frames on `topic` get another name at all."""
+        return bool(self.of_recording[survey.name] or self._namespace_prefix(survey, topic))
+
+    def _namespace_prefix(self, survey: Survey, topic: str) -> str:
+        return self.of_namespace.get((survey.name, topic.strip("/").rpartition("/")[0]), "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundRobots:
+    """The robots in natural order, how frames are made unique, and the map topics that are no robot's."""
+
+    robots: tuple[MapTopic, ...]
+    unique_frames: UniqueFrames
+    passed_over: tuple[PassedOver, ...]
+
+
+def find_robots(surveys: Sequence[Survey], overrides: RobotOverrides) -> FoundRobots:
+    """A robot is a map topic, named after its namespace, or after its file where topics or frames of files collide.
+
+    Raises:
+        ConfigError: An override names a topic or a robot that is not there, or a name twice.
+    """
+    chosen, passed_over = _choose(surveys, overrides)
+    colliding = _colliding(chosen)
+    frames = _frame_names(surveys, chosen, colliding)
+    named, replaced = _names(chosen, colliding, overrides)
+    passed_over.extend(replaced)
+    for robot in overrides.drop:
+        if robot not in named:
+            known = _listed(sorted(named, key=natural_key))
+            raise ConfigError(f"--drop {robot}: there is no such robot; there are {known}")
+    robots: list[MapTopic] = []
+    for robot in sorted(named, key=natural_key):
+        survey, topic = named[robot]
+        if robot in overrides.drop:
+            passed_over.append(_passed(survey, topic, "dropped by --drop"))
+            continue
+        map_frame = frames.unique(survey, topic.topic, _frame(topic))
+        if any(map_frame == other.map_frame for other in robots):
+            map_frame = f"{robot}/{map_frame}"
+        robots.append(MapTopic(robot, survey, topic, _frame(topic), map_frame))
+    return FoundRobots(tuple(robots), frames, tuple(passed_over))
+
+
+_Choice = tuple[Survey, TopicSurvey]
+
+
+def _choose(surveys: Sequence[Survey], overrides: RobotOverrides) -> tuple[list[_Choice], list[PassedOver]]:
+    """One map topic for each namespace of each recording."""
+    explicit = {id(topic) for value in overrides.maps.values() for _, topic in [_override(surveys, value)]}
+    chosen: list[_Choice] = []
+    passed_over: list[PassedOver] = []
+    for survey in surveys:
+        by_namespace: dict[str, list[TopicSurvey]] = defaultdict(list)
+        for topic in survey.topics.values():
+            if topic.role != "grid":
+                continue
+            reason = "" if id(topic) in explicit else _no_robots_map(survey, topic)
+            if reason:
+                passed_over.append(_passed(survey, topic, reason))
+            elif id(topic) in explicit:
+                chosen.append((survey, topic))
+            else:
+                by_namespace[topic.namespace].append(topic)
+        taken = {topic.namespace for _, topic in chosen if survey.topics.get(topic.topic) is topic}
+        for namespace, topics in by_namespace.items():
+            best = min(topics, key=lambda topic: (topic.topic.rpartition("/")[2] != "map", natural_key(topic.topic)))
+            others = topics if namespace in taken else [topic for topic in topics if topic is not best]
+            if namespace not in taken:
+                chosen.append((survey, best))
+            reason = f"{survey.name} has another map of this robot; use --robot NAME={{}} to take this one"
+            passed_over.extend(_passed(survey, topic, reason.format(topic.topic)) for topic in others)
+    return chosen, passed_over
+
+
+def _no_robots_map(survey: Survey, topic: TopicSurvey) -> str:
+    if topic.undecodable:
+        return topic.undecodable
+    if "costmap" in topic.topic:
+        return "a costmap, not a map"
+    if survey.is_own_output and topic.topic.startswith("/fused"):
+        return "an earlier result of mapfusion"
+    if not topic.stamps_ns:
+        return "no message that can be believed" if topic.count else "no messages"
+    return ""
+
+
+def _colliding(chosen: Sequence[_Choice]) -> set[str]:
+    """Names of the recordings that share a map topic or a map frame with another recording."""
+    used: dict[tuple[str, str], set[str]] = defaultdict(set)
+    for survey, topic in chosen:
+        used["topic", topic.topic].add(survey.name)
+        used["frame", _frame(topic)].add(survey.name)
+    return {name for names in used.values() if len(names) > 1 for name in names}
+
+
+def _frame_names(surveys: Sequence[Survey], chosen: Sequence[_Choice], colliding: set[str]) -> UniqueFrames:
+    of_namespace = {}
+    for survey in surveys:
+        mine = [topic for owner, topic in chosen if owner is survey]
+        frames = Counter(_frame(topic) for topic in mine)
+        transform_namespaces = {topic.namespace for topic in survey.topics.values() if topic.role == "transform"}
+        for topic in mine:
+            shared = frames[_frame(topic)] > 1 or topic.namespace in transform_namespaces
+            if topic.namespace and shared and not _frame(topic).startswith(topic.namespace + "/"):
+                of_namespace[survey.name, topic.namespace] = topic.namespace + "/"
+    return UniqueFrames(
+        {survey.name: survey.name + "/" if survey.name in colliding else "" for survey in surveys}, of_namespace
+    )
+
+
+def _names(
+    chosen: Sequence[_Choice], colliding: set[str], overrides: RobotOverrides
+) -> tuple[dict[str, _Choice], list[PassedOver]]:
+    """Map topics by robot name, and those whose name the user gave to another topic."""
+    surveys = [survey for survey, _ in chosen]
+    given = {id(_override(surveys, value)[1]): robot for robot, value in overrides.maps.items()}
+    per_recording = Counter(survey.name for survey, _ in chosen)
+    named = {given[id(topic)]: (survey, topic) for survey, topic in chosen if id(topic) in given}
+    replaced = []
+    for survey, topic in chosen:
+        if id(topic) in given:
+            continue
+        namespace = topic.namespace or _frame(topic).rpartition("/")[0]
+        if survey.name in colliding:
+            name = survey.name if per_recording[survey.name] == 1 or not namespace else f"{survey.name}/{namespace}"
+        else:
+            name = namespace or survey.name
+        if name in overrides.maps:
+            replaced.append(_passed(survey, topic, f"--robot {name}={overrides.maps[name]} takes its place"))
+        else:
+            named[_unused(name, named)] = (survey, topic)
+    return named, replaced
+
+
+def _override(surveys: Sequence[Survey], value: str) -> _Choice:
+    """The map topic that TOPIC or FILE:TOPIC means."""
+    file, colon, topic = value.rpartition(":")
+    found = [
+        (survey, survey.topics[name])
+        for survey in dict.fromkeys(surveys)
+        for name in survey.topics
+        if name.strip("/") == topic.strip("/")
+        and (not colon or file in (survey.name, survey.recording.path.name, str(survey.recording.path)))
+    ]
+    maps = [choice for choice in found if choice[1].role == "grid"]
+    if len(maps) == 1:
+        if not maps[0][1].stamps_ns:
+            raise ConfigError(f"--robot ...={value}: it holds no map that can be believed")
+        return maps[0]
+    if found and not maps:
+        raise ConfigError(f"--robot ...={value}: {found[0][1].schema_name}, not a map")
+    if maps:
+        raise ConfigError(f"--robot ...={value}: in several recordings; say which as {maps[0][0].name}:{topic}")
+    known = [name for survey in surveys for name, found_topic in survey.topics.items() if found_topic.role == "grid"]
+    raise ConfigError(f"--robot ...={value}: no such topic; the map topics are {_listed(known)}")
+
+
+def _unused(name: str, taken: Mapping[str, object]) -> str:
+    number, unused = 2, name
+    while unused in taken:
+        unused, number = f"{name}_{number}", number + 1
+    return unused
+
+
+def _frame(topic: TopicSurvey) -> str:
+    """The frame that most of a topic's grids name, the first of equals."""
+    return topic.frames.most_common(1)[0][0]
+
+
+def _passed(survey: Survey, topic: TopicSurvey, reason: str) -> PassedOver:
+    return PassedOver(survey.name, topic.topic, topic.schema_name, topic.count, reason)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if names else "none"

@@ -1,0 +1,75 @@
+"""Settings, one frozen dataclass a stage."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+Profile = Literal["default", "paper"]
+Blend = Literal["log-odds", "max", "paper"]
+
+
+@dataclass(frozen=True, slots=True)
+class FusionConfig:
+    """How two maps are fused.
+
+    Attributes:
+        profile: `paper` keeps to the method of Zick et al. 2025; `default` goes beyond it.
+        mae_threshold: A fusion needs a MAE below this many grey levels (0..255). None: 20 for `paper`, no hard gate
+            for `default`.
+        seed: Seed of everything random.
+    """
+
+    profile: Profile = "default"
+    mae_threshold: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.profile not in ("default", "paper"):
+            raise ValueError(f"profile must be 'default' or 'paper', not {self.profile!r}")
+        if self.mae_threshold is not None and not 0.0 < self.mae_threshold <= 255.0:
+            raise ValueError(f"mae_threshold must lie in (0, 255] grey levels, not {self.mae_threshold}")
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayConfig:
+    """How a mission is replayed.
+
+    Attributes:
+        interval_s: Time between snapshots, > 0.
+        max_age_s: A grid older than this at a snapshot starts no join; None: any age.
+        map_interval_s: Least time between two merged maps of a group, >= 0; the last one is always given.
+        reference: Robot whose map frame is its group's frame; None: the first robot in natural order.
+        blend: How cells that several maps know are combined.
+        resolution_m: Cell size of merged maps; None: the finest of the group's maps.
+        final_only: Give the last snapshot only.
+        start_ns: No snapshot before this time; grids from before it still count. None: from the first stamp.
+        jobs: Threads that fuse pairs, >= 1. Changes the time, never the result.
+        fusion: How two maps are fused.
+    """
+
+    interval_s: float = 1.0
+    max_age_s: float | None = None
+    map_interval_s: float = 5.0
+    reference: str | None = None
+    blend: Blend = "log-odds"
+    resolution_m: float | None = None
+    final_only: bool = False
+    start_ns: int | None = None
+    jobs: int = 1
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.interval_s) and self.interval_s >= 1e-3):
+            raise ValueError(f"interval_s must be at least 0.001 s, not {self.interval_s}")
+        if self.max_age_s is not None and not self.max_age_s > 0.0:
+            raise ValueError(f"max_age_s must be > 0 s, not {self.max_age_s}")
+        if not self.map_interval_s >= 0.0:
+            raise ValueError(f"map_interval_s must be >= 0 s, not {self.map_interval_s}")
+        if self.blend not in ("log-odds", "max", "paper"):
+            raise ValueError(f"blend must be 'log-odds', 'max' or 'paper', not {self.blend!r}")
+        if self.resolution_m is not None and not (math.isfinite(self.resolution_m) and self.resolution_m > 0.0):
+            raise ValueError(f"resolution_m must be > 0 m, not {self.resolution_m}")
+        if self.jobs < 1:
+            raise ValueError(f"jobs must be >= 1, not {self.jobs}")

@@ -1,0 +1,124 @@
+"""Several grids of one place into one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.config import Blend
+from mapfusion.grid import UNKNOWN, Cells, OccupancyGrid, crop_to_known, resample
+from mapfusion.transform import SE2
+
+WALL_LOG_ODDS = 3.5
+FREE_LOG_ODDS = -2.0
+"""Evidence of a cell that a map holds to be occupied or free. A wall weighs more than free space: walls are thin, and
+where two maps lie a cell apart, the free cell beside one map's wall must not erase the other's. Source: the asymmetry
+of inverse sensor models, Thrun, Burgard, Fox, Probabilistic Robotics, 2005, ch. 9."""
+
+
+def merge_grids(
+    grids: Sequence[OccupancyGrid],
+    T_world_frames: Sequence[SE2],
+    blend: Blend,
+    resolution_m: float | None,
+    stamp_ns: int,
+) -> OccupancyGrid:
+    """Brings grids into one frame and combines their cells by evidence.
+
+    Args:
+        grids: One or more maps.
+        T_world_frames: Pose of each grid's frame in the common frame.
+        blend: `log-odds` sums evidence, `max` takes the highest occupancy, `paper` overlays (the highest occupancy,
+            known over unknown, sampled bilinearly).
+        resolution_m: Cell size of the result; None: the finest of the grids.
+        stamp_ns: Stamp of the result.
+
+    Returns:
+        A grid, without rotation, whose corner is a multiple of its cell size; a cell is known where a map knows it, and
+        keeps its value where one map alone knows it. One unknown cell where no map knows anything.
+    """
+    finest = min(grid.resolution_m for grid in grids) if resolution_m is None else resolution_m
+    parts = [crop_to_known(resample(grid, finest) if grid.resolution_m < finest else grid) for grid in grids]
+    parts = [part for part in parts if part.known.any()]
+    placed = [T for part, T in zip(grids, T_world_frames, strict=True) if part.known.any()]
+    if not parts:
+        return OccupancyGrid(np.full((1, 1), UNKNOWN, np.int8), finest, SE2.identity(), stamp_ns=stamp_ns)
+    col0, row0, width, height = _canvas(parts, placed, finest)
+    T_world_merged = SE2(col0 * finest, row0 * finest, 0.0)
+    layers = [
+        _warp(part, T_world_merged.inverse() @ T @ part.T_frame_grid, finest, (height, width), blend == "paper")
+        for part, T in zip(parts, placed, strict=True)
+    ]
+    cells = _log_odds(layers) if blend == "log-odds" else np.maximum.reduce(layers)
+    return OccupancyGrid(cells, finest, T_world_merged, stamp_ns=stamp_ns)
+
+
+def _canvas(parts: Sequence[OccupancyGrid], placed: Sequence[SE2], resolution_m: float) -> tuple[int, int, int, int]:
+    """First column and row, width and height of the lattice cells that the parts' corners span."""
+    corners = []
+    for part, T in zip(parts, placed, strict=True):
+        width_m, height_m = part.width * part.resolution_m, part.height * part.resolution_m
+        box = np.array([[0.0, 0.0], [width_m, 0.0], [0.0, height_m], [width_m, height_m]])
+        corners.append((T @ part.T_frame_grid).apply(box))
+    spanned = np.concatenate(corners) / resolution_m
+    # A corner that lies on the lattice but for rounding adds no row of unknown cells.
+    low, high = np.floor(spanned.min(axis=0) + 1e-6).astype(int), np.ceil(spanned.max(axis=0) - 1e-6).astype(int)
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+
+
+def _warp(part: OccupancyGrid, T_merged_part: SE2, resolution_m: float, shape: tuple[int, int], smooth: bool) -> Cells:
+    """The part's cells (height, width) on the canvas, unknown outside; nearest, or bilinear between known cells."""
+    ratio = resolution_m / part.resolution_m
+    c, s = math.cos(T_merged_part.yaw_rad), math.sin(T_merged_part.yaw_rad)
+    inverse = T_merged_part.inverse()
+    # Pixel centres lie at integers for cv2 and at half cells on the grid.
+    half = (
+        ratio * (np.array([[c, s], [-s, c]]) @ [0.5, 0.5])
+        + np.array([inverse.x_m, inverse.y_m]) / part.resolution_m
+        - 0.5
+    )
+    M = np.array([[ratio * c, ratio * s, half[0]], [-ratio * s, ratio * c, half[1]]])
+    size = (shape[1], shape[0])
+    # cv2 warps unsigned bytes: 255 stands for unknown.
+    nearest = cv2.warpAffine(
+        part.cells.view(np.uint8),
+        M,
+        size,
+        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=255,
+    )
+    if not smooth:
+        return nearest.view(np.int8)
+    known = part.known
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    weight = cv2.warpAffine(known.astype(np.float32), M, size, flags=flags)
+    value = cv2.warpAffine(np.where(known, part.cells, 0).astype(np.float32), M, size, flags=flags)
+    blended = np.rint(value / np.maximum(weight, 1e-6)).clip(0, 100)
+    cells: Cells = np.where(nearest.view(np.int8) == UNKNOWN, UNKNOWN, blended).astype(np.int8)
+    return cells
+
+
+def _log_odds(layers: Sequence[Cells]) -> Cells:
+    """Sum of the layers' evidence as occupancy per cent; a cell that one layer alone knows keeps its value."""
+    lookup = _evidence_of_cell()
+    evidence = np.zeros(layers[0].shape, np.float32)
+    num_known = np.zeros(layers[0].shape, np.uint8)
+    for layer in layers:
+        evidence += lookup[layer.view(np.uint8)]
+        num_known += layer != UNKNOWN
+    percent = np.rint(100.0 / (1.0 + np.exp(-evidence))).astype(np.int8)
+    alone = np.maximum.reduce(layers)
+    cells: Cells = np.where(num_known > 1, percent, alone)
+    return cells
+
+
+def _evidence_of_cell() -> npt.NDArray[np.float32]:
+    """(256,) log-odds by the cell's byte: linear from free over no evidence at 50 % to a wall; unknown has none."""
+    table = np.zeros(256, np.float32)
+    table[:101] = np.interp(np.arange(101), [0.0, 50.0, 100.0], [FREE_LOG_ODDS, 0.0, WALL_LOG_ODDS])
+    return table

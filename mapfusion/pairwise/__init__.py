@@ -1,0 +1,1 @@
+"""Fusing two maps: one module a stage."""

@@ -1,0 +1,59 @@
+"""The default profile: many hypotheses, each weighed against both maps, and a verdict with its evidence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapfusion.config import FusionConfig
+from mapfusion.pairwise import verdict
+from mapfusion.pairwise.agreement import agreement
+from mapfusion.pairwise.poses import Poses, from_se2, to_se2
+from mapfusion.pairwise.prepared import PreparedMap, prepare
+from mapfusion.pairwise.search import Finding, examine, propose, recheck
+from mapfusion.pairwise.voting import match
+from mapfusion.result import PairFusion
+from mapfusion.transform import SE2
+
+__all__ = ["PreparedMap", "fuse", "prepare"]
+
+
+def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, guess: SE2 | None = None) -> PairFusion:
+    """Looks for the transform between two prepared maps, and judges it.
+
+    Args:
+        target: Map into whose frame the source is to be brought.
+        source: The other map, prepared at the same resolution.
+        config: Thresholds.
+        guess: T_target_source known from before: verified first, and searched for only when it does not hold.
+
+    Returns:
+        The verdict with its evidence. Exchanging the maps gives the inverse: the work is done in one order, by content.
+    """
+    if target.key > source.key:
+        return fuse(source, target, config, None if guess is None else guess.inverse()).swapped()
+    refusal = verdict.too_little(target, source)
+    if refusal is not None:
+        return refusal
+    if guess is not None:
+        known = _judged(target, source, config, recheck(target, source, _to_cells(target, source, guess)))
+        if known.accepted:
+            return known
+    matches = match(target.features, source.features)
+    return _judged(target, source, config, examine(target, source, propose(target, source, matches), matches))
+
+
+def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, finding: Finding) -> PairFusion:
+    T_target_source = _to_metres(target, source, finding.pose)
+    cells = agreement(target.grid, source.grid, T_target_source)
+    rival = None if finding.rival is None else _to_metres(target, source, finding.rival)
+    return verdict.judge(target, source, config, finding, T_target_source, rival, cells)
+
+
+def _to_metres(target: PreparedMap, source: PreparedMap, pose: Poses) -> SE2:
+    between_corners = to_se2(pose, target.grid.resolution_m)
+    return target.grid.T_frame_grid @ between_corners @ source.grid.T_frame_grid.inverse()
+
+
+def _to_cells(target: PreparedMap, source: PreparedMap, T_target_source: SE2) -> Poses:
+    between_corners = target.grid.T_frame_grid.inverse() @ T_target_source @ source.grid.T_frame_grid
+    return np.asarray(from_se2(between_corners, target.grid.resolution_m))

@@ -1,0 +1,242 @@
+"""How far the agreement of two maps lies above what chance would give.
+
+For a tolerance, n points of one map's walls fall into the area that the other map knows, a share r of them within
+the tolerance of a wall seen from the same side; a point put there at random would meet one with probability p.
+The evidence of this direction is n KL(r || p) / c, with c the length over which neighbouring wall cells are not
+independent (Chernoff's bound on the tail of the binomial distribution). Both directions must speak for a pose: their
+geometric mean counts. Walls that stand in the other map's free space speak against it: with x times as many as by
+chance, (1 - x)^2 of the evidence is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.pairwise.poses import Poses, inverse, moved
+from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.refine import SAME_SIDE_COSINE, encounters
+from mapfusion.pairwise.surface import NOT_KNOWN, Floats, Indices, SurfaceField
+
+TOLERANCES_CELLS = (1.5, 3.0, 6.0)
+DEPENDENT_CELLS = 12.0
+"""Length of wall over which cells agree or disagree together. Source: autocorrelation of real and simulated maps."""
+DEEP_TOLERANCES = 2.0
+"""A wall this many tolerances inside the other map's free space contradicts it."""
+MIN_DEEP_CHANCE = 0.2
+"""Where hardly any free space is wide enough to be deep, contradictions are counted against this share."""
+DIRECTION_BINS = 24
+Figures = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What speaks for and against each of K poses; arrays are (K,).
+
+    Attributes:
+        net: Evidence against chance of both directions, less what contradicts; at the tolerance where it is highest.
+        total: The same before contradictions are taken off.
+        weaker: Evidence of the weaker direction.
+        tolerance_cells: The tolerance.
+        ratio: Share of the walls in the mutual area that agree.
+        ratio_fine: Share that agrees within the finest tolerance.
+        chance: Share that would agree by chance.
+        contradiction: Walls deep in the other map's free space / those that would be by chance.
+        num_walls: Wall cells in the mutual area, of both maps.
+        mutual_cells: Cells known in both.
+        mutual_ratio: The same / known cells of the smaller map.
+        conditioning: Smallest / largest eigenvalue of what the agreeing walls say about the translation, [0, 1].
+        residual_cells: Root mean square distance of the agreeing points from their walls, cells.
+        spread_cells: Root mean square distance of the agreeing points along their narrower axis, cells.
+    """
+
+    net: Figures
+    total: Figures
+    weaker: Figures
+    tolerance_cells: Figures
+    ratio: Figures
+    ratio_fine: Figures
+    chance: Figures
+    contradiction: Figures
+    num_walls: Figures
+    mutual_cells: Figures
+    mutual_ratio: Figures
+    conditioning: Figures
+    residual_cells: Figures
+    spread_cells: Figures
+
+    def of(self, index: int) -> dict[str, float]:
+        """The figures of one pose by name."""
+        return {f.name: float(getattr(self, f.name)[index]) for f in fields(self)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Direction:
+    """One direction, (K,) or (K, T) for T tolerances: what the points of one map meet in the field of the other.
+
+    Attributes:
+        n: Wall cells in the mutual area.
+        agreeing: (K, T) of them agree.
+        chance: (K, T) share of them that would by chance.
+        deep: (K, T) of them stand deep in free space.
+        deep_chance: (K, T) share of them that would by chance.
+        mutual: Cells known in both.
+        squares: Sum of the squared gaps of the points that agree within the widest tolerance.
+        scatter: (K, 2, 2) sum of n n^T over the normals of the agreeing walls.
+        positions: (K, 2, 2) covariance of the agreeing points.
+    """
+
+    n: Figures
+    agreeing: Figures
+    chance: Figures
+    deep: Figures
+    deep_chance: Figures
+    mutual: Figures
+    squares: Figures
+    scatter: Figures
+    positions: Figures
+
+
+def weigh(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int) -> Evidence:
+    """The evidence for poses (K, 3) of `source` in `target`; both need a surface."""
+    assert target.field is not None
+    assert source.field is not None
+    forward = _direction(target.field, source, poses, num_points)
+    backward = _direction(source.field, target, inverse(poses), num_points)
+    n = forward.n + backward.n
+    safe = np.maximum(n, 1.0)[:, None]
+    each = [against_chance(d.n[:, None], d.agreeing, d.chance) for d in (forward, backward)]
+    total = 2.0 * np.sqrt(each[0] * each[1])
+    deep_chance = _pooled(forward.deep_chance, backward.deep_chance, forward.n, backward.n)
+    contradiction = (forward.deep + backward.deep) / safe / np.maximum(deep_chance, MIN_DEEP_CHANCE)
+    net = discounted(total, contradiction)
+    at = np.arange(len(poses)), net.argmax(axis=-1)
+    agreeing = forward.agreeing + backward.agreeing
+    mutual = (forward.mutual + backward.mutual) / 2.0
+    known = min(len(m.area) * m.cells_per_area_sample for m in (target, source))
+    # The backward normals are seen from the source; eigenvalues do not mind.
+    fixed = np.linalg.eigvalsh(forward.scatter) + np.linalg.eigvalsh(backward.scatter)
+    narrow = np.linalg.eigvalsh(forward.positions) + np.linalg.eigvalsh(backward.positions)
+    return Evidence(
+        net=net[at],
+        total=total[at],
+        weaker=np.minimum(*each)[at],
+        tolerance_cells=np.asarray(TOLERANCES_CELLS)[at[1]],
+        ratio=(agreeing / safe)[at],
+        ratio_fine=(agreeing / safe)[:, 0],
+        chance=_pooled(forward.chance, backward.chance, forward.n, backward.n)[at],
+        contradiction=contradiction[at],
+        num_walls=n,
+        mutual_cells=mutual,
+        mutual_ratio=mutual / max(known, 1.0),
+        conditioning=fixed[:, 0] / np.maximum(fixed[:, 1], 1e-9),
+        residual_cells=np.sqrt((forward.squares + backward.squares) / np.maximum(agreeing[:, -1], 1.0)),
+        spread_cells=np.sqrt(np.maximum(narrow[:, 0] / 2.0, 0.0)),
+    )
+
+
+def _pooled(forward: Figures, backward: Figures, n_forward: Figures, n_backward: Figures) -> Figures:
+    """Mean of two (K, T) shares, weighted by the (K,) counts they belong to."""
+    weight = n_forward / np.maximum(n_forward + n_backward, 1.0)
+    mean: Figures = forward * weight[:, None] + backward * (1.0 - weight[:, None])
+    return mean
+
+
+def against_chance(n: Figures, agreeing: Figures, chance: Figures) -> Figures:
+    """n KL(agreeing / n || chance) / DEPENDENT_CELLS where there is more agreement than by chance, else 0."""
+    n = np.maximum(n, 1.0)
+    p = np.clip(chance, 0.5 / n, 1.0 - 1e-3)
+    r = np.clip(agreeing / n, 1e-9, 1.0 - 1e-9)
+    divergence = r * np.log(r / p) + (1.0 - r) * np.log((1.0 - r) / (1.0 - p))
+    evidence: Figures = np.where(r > p, n * divergence, 0.0) / DEPENDENT_CELLS
+    return evidence
+
+
+def discounted(evidence: Figures, contradiction: Figures) -> Figures:
+    """What contradictions leave of the evidence; none where there are as many as by chance."""
+    result: Figures = evidence * np.square(np.maximum(1.0 - contradiction, 0.0))
+    return result
+
+
+def _direction(field: SurfaceField, other: PreparedMap, poses: Poses, num_points: int) -> _Direction:
+    assert other.field is not None
+    surface = other.field.surface.thinned(num_points)
+    scale = len(other.field.surface) / len(surface)
+    found = encounters(field, surface, poses)
+    depth = field.depth.ravel().take(found.cells)
+    known = depth != NOT_KNOWN
+    facing_alike = known & found.same_side
+    agrees = [facing_alike & (found.squared <= t * t) for t in TOLERANCES_CELLS]
+    far = [t * DEEP_TOLERANCES for t in TOLERANCES_CELLS]
+    deep = [known & (depth > t) & (found.squared > t * t) for t in far]
+
+    area = moved(poses, other.area)
+    area_cells = field.cells_below(area)
+    area_depth = field.depth.ravel().take(area_cells)
+    area_known = area_depth != NOT_KNOWN
+    hit = field.nearest.ravel().take(area_cells)
+    wall = field.walls.take(hit, axis=1)
+    squared = np.square(area[:, 0] - wall[0]) + np.square(area[:, 1] - wall[1])
+    near = [area_known & (squared <= t * t) for t in TOLERANCES_CELLS]
+    area_deep = [area_known & (area_depth > t) & (squared > t * t) for t in far]
+    num_area = np.maximum(area_known.sum(axis=-1), 1)
+    alike = _chance_of_same_side(wall[2:], near[-1], surface.normals, poses, known)
+
+    weight = agrees[1].astype(np.float32)
+    return _Direction(
+        n=known.sum(axis=-1) * scale,
+        agreeing=np.stack([a.sum(axis=-1) for a in agrees], -1) * scale,
+        chance=np.stack([a.sum(axis=-1) for a in near], -1) * (alike / num_area)[:, None],
+        deep=np.stack([a.sum(axis=-1) for a in deep], -1) * scale,
+        deep_chance=np.stack([a.sum(axis=-1) for a in area_deep], -1) / num_area[:, None],
+        mutual=area_known.sum(axis=-1) * other.cells_per_area_sample,
+        squares=(np.square(found.gap) * agrees[-1]).sum(axis=-1) * scale,
+        scatter=_second_moment(found.lines, weight) * scale,
+        positions=_covariance(found.arms, weight),
+    )
+
+
+def _chance_of_same_side(
+    there: Floats, near: npt.NDArray[np.bool_], here: Floats, poses: Poses, known: npt.NDArray[np.bool_]
+) -> Figures:
+    """(K,) probability that a wall of the mutual area and the wall near a random cell of it face alike.
+
+    Args:
+        there: (2, K, A) normals of the walls near the cells of the mutual area.
+        near: (K, A) which of those cells are near a wall.
+        here: (N, 2) normals of the other map's walls.
+        poses: (K, 3).
+        known: (K, N) which of the other map's walls lie in the mutual area.
+    """
+    step = 2.0 * np.pi / DIRECTION_BINS
+    target_bins = np.floor(np.arctan2(there[1], there[0]) / step + 0.5).astype(np.int64)
+    source_bins = np.floor((np.arctan2(here[:, 1], here[:, 0]) + poses[:, 2, None]) / step + 0.5).astype(np.int64)
+    target_share, source_share = _histograms(target_bins, near), _histograms(source_bins, known)
+    alike = np.flatnonzero(np.cos(np.arange(DIRECTION_BINS) * step) > SAME_SIDE_COSINE - 1e-6)
+    window = sum(np.roll(target_share, k, axis=-1) for k in alike)
+    result: Figures = (window * source_share).sum(axis=-1)
+    return result
+
+
+def _histograms(bins: Indices | npt.NDArray[np.int64], mask: npt.NDArray[np.bool_]) -> Figures:
+    """(K, DIRECTION_BINS) shares of the masked (K, N) bins, counted modulo DIRECTION_BINS."""
+    rows = len(mask)
+    at = bins % DIRECTION_BINS + np.arange(rows)[:, None] * DIRECTION_BINS
+    counts = np.bincount(at[mask], minlength=rows * DIRECTION_BINS).reshape(rows, DIRECTION_BINS)
+    shares: Figures = counts / np.maximum(counts.sum(axis=-1, keepdims=True), 1)
+    return shares
+
+
+def _second_moment(vectors: Floats, weight: Floats) -> Figures:
+    """(K, 2, 2) sum of weight v v^T over (K, 2, N) vectors."""
+    return ((vectors * weight[:, None]) @ vectors.transpose(0, 2, 1)).astype(np.float64)
+
+
+def _covariance(points: Floats, weight: Floats) -> Figures:
+    """(K, 2, 2) weighted covariance of (K, 2, N) points."""
+    mass = np.maximum(weight.sum(axis=-1), 1.0)
+    mean = (points @ weight[..., None])[..., 0] / mass[:, None]
+    covariance: Figures = _second_moment(points - mean[..., None], weight) / mass[:, None, None]
+    return covariance

@@ -1,0 +1,62 @@
+"""Poses of the source in the target, many at once, in cells.
+
+A pose is a row (x, y, theta): it takes a point p of the source, in cells from its grid's corner, to
+R(theta) p + (x, y) in cells from the target's corner.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.pairwise.surface import Points
+from mapfusion.transform import SE2
+
+Poses = npt.NDArray[np.float64]
+
+
+def rotations(poses: Poses) -> npt.NDArray[np.float32]:
+    """(K, 2, 2) rotation matrices of (K, 3) poses."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2).astype(np.float32)
+
+
+def moved(poses: Poses, points: Points) -> Points:
+    """(K, 2, N): the points (N, 2) under each pose."""
+    result: Points = rotations(poses) @ points.T + poses[:, :2, None].astype(np.float32)
+    return result
+
+
+def inverse(poses: Poses) -> Poses:
+    """The poses of the target in the source."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = poses[:, 0], poses[:, 1]
+    return np.stack([-c * x - s * y, s * x - c * y, -poses[:, 2]], -1)
+
+
+def pose_from_centre(theta: npt.NDArray[np.float64], centre_in_target: Poses, centre: Poses) -> Poses:
+    """Poses (K, 3) that turn by theta (K,) and take the source's `centre` (2,) to `centre_in_target` (K, 2)."""
+    c, s = np.cos(theta), np.sin(theta)
+    turned = np.stack([c * centre[0] - s * centre[1], s * centre[0] + c * centre[1]], -1)
+    return np.concatenate([centre_in_target - turned, theta[:, None]], -1)
+
+
+def differ(pose: Poses, others: Poses, centre: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:
+    """Which of `others` (K, 3) lie more than `cells` away at the source's `centre` (2,), or more than `degrees`."""
+    point = centre[None].astype(np.float32)
+    gap = moved(others, point)[:, :, 0] - moved(pose[None], point)[0, :, 0]
+    turn = np.abs(np.remainder(others[:, 2] - pose[2] + math.pi, 2 * math.pi) - math.pi)
+    result: npt.NDArray[np.bool_] = (np.hypot(gap[:, 0], gap[:, 1]) > cells) | (turn > math.radians(degrees))
+    return result
+
+
+def to_se2(pose: Poses, resolution_m: float) -> SE2:
+    """The motion between the two grids' corners, in metres."""
+    return SE2(float(pose[0]) * resolution_m, float(pose[1]) * resolution_m, float(pose[2]))
+
+
+def from_se2(T: SE2, resolution_m: float) -> Poses:
+    """(3,) pose in cells of a motion between the two grids' corners."""
+    return np.array([T.x_m / resolution_m, T.y_m / resolution_m, T.yaw_rad])

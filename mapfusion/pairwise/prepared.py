@@ -1,0 +1,66 @@
+"""Everything about one map that fusing it with any other needs."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapfusion.grid import Mask, OccupancyGrid, crop_to_known, resample
+from mapfusion.pairwise.features import Features, detect
+from mapfusion.pairwise.poses import Poses
+from mapfusion.pairwise.surface import Points, SurfaceField, close_gaps, extract_surface, remove_speckle, surface_field
+
+AREA_SAMPLES = 1500
+"""About so many known cells stand for the known area where areas are compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedMap:
+    """One map, ready to be compared.
+
+    Attributes:
+        grid: The map at the resolution of the comparison, cropped to what it knows.
+        features: ORB keypoints of its walls.
+        field: The rim of its walls as a field; None where it has no wall beside free space.
+        area: (N, 2) float32 centres of known cells on a regular raster, cells.
+        cells_per_area_sample: Known cells that each of `area` stands for.
+        centre: (2,) mean of the surface's points, cells.
+        key: Orders maps by their content, whatever their names and frames.
+    """
+
+    grid: OccupancyGrid
+    features: Features
+    field: SurfaceField | None
+    area: Points
+    cells_per_area_sample: float
+    centre: Poses
+    key: bytes
+
+
+def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
+    """Brings one map to `resolution_m`, finds its features and the field of its walls' surface."""
+    grid = crop_to_known(resample(grid, resolution_m))
+    walls = remove_speckle(grid.walls)
+    free = close_gaps(walls, grid.free | (grid.walls & ~walls))
+    known = grid.known | free
+    surface = extract_surface(walls, free)
+    area, cells_per_area_sample = _raster(known)
+    return PreparedMap(
+        grid=grid,
+        features=detect(walls),
+        field=surface_field(surface, free, known) if len(surface) else None,
+        area=area,
+        cells_per_area_sample=cells_per_area_sample,
+        centre=surface.points.mean(axis=0).astype(np.float64) if len(surface) else np.zeros(2),
+        key=hashlib.blake2b(repr(grid.cells.shape).encode() + grid.cells.tobytes(), digest_size=16).digest(),
+    )
+
+
+def _raster(known: Mask) -> tuple[Points, float]:
+    num_known = int(np.count_nonzero(known))
+    step = max(1, int(np.sqrt(num_known / AREA_SAMPLES)))
+    rows, cols = np.nonzero(known[step // 2 :: step, step // 2 :: step])
+    points = np.stack([cols, rows], -1) * step + (step // 2 + 0.5)
+    return points.astype(np.float32), num_known / max(1, len(points))

@@ -1,0 +1,152 @@
+"""From many hypotheses to the best pose and its rival: coarse ranking, refinement, evidence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mapfusion.pairwise.correlation import correlate
+from mapfusion.pairwise.evidence import against_chance, discounted, weigh
+from mapfusion.pairwise.poses import Poses, differ, inverse
+from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.refine import encounters, refine
+from mapfusion.pairwise.surface import NOT_KNOWN, Surface, SurfaceField
+from mapfusion.pairwise.voting import Matches, count_inliers, vote
+
+NUM_VOTED = 60
+NUM_ROTATIONS = 30
+NUM_CORRELATED = 60
+NUM_STARTS = 24
+NUM_CANDIDATES = 8
+COARSE_POINTS = 250
+FINE_POINTS = 400
+COARSE_TOLERANCE_CELLS = 6.0
+COARSE_CHANCE = 0.1
+COARSE_DEEP_CELLS = 3.0
+WIDE_REACHES = (10.0, 10.0, 8.0, 6.0)
+TIGHT_REACHES = (6.0, 5.0, 4.0, 4.0, 3.0, 3.0)
+POLISH_REACHES = (4.0, 3.0, 3.0, 2.5, 2.5, 2.5)
+POLISH_POINTS = 4000
+EVIDENCE_POINTS = 1000
+SAME_CELLS = 6.0
+SAME_DEGREES = 4.0
+DISTINCT_CELLS = 10.0
+DISTINCT_SHARE = 0.04
+DISTINCT_DEGREES = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """The best pose of the source in the target, and the best one that is distinctly different.
+
+    Attributes:
+        pose: (3,) in cells.
+        figures: Its evidence by name.
+        information: (3, 3) information matrix about the source's centre, in cells and radians, per wall cell.
+        rival: (3,) the best distinctly different pose; None where none was examined.
+        rival_net: Net evidence of the rival.
+        num_matches: Keypoint matches used.
+        num_inliers: Those that agree with `pose`.
+    """
+
+    pose: Poses
+    figures: dict[str, float]
+    information: Poses
+    rival: Poses | None
+    rival_net: float
+    num_matches: int = 0
+    num_inliers: int = 0
+
+
+def propose(target: PreparedMap, source: PreparedMap, matches: Matches) -> Poses:
+    """Hypotheses (K, 3) from features and from the walls as a whole."""
+    assert target.field is not None
+    assert source.field is not None
+    voted = vote(target.features, source.features, matches, source.centre, NUM_VOTED)
+    whole = correlate(target.field.surface, source.field.surface, source.centre, NUM_ROTATIONS, NUM_CORRELATED)
+    return np.concatenate([voted, whole])
+
+
+def examine(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches) -> Finding:
+    """The best of the hypotheses, refined, with its evidence and its rival."""
+    poses, net = refine_and_rank(target, source, hypotheses)
+    apart = np.flatnonzero(differ(poses[0], poses, source.centre, distinct_cells(target, source), DISTINCT_DEGREES))
+    rival = None if not len(apart) else poses[apart[0]]
+    found = recheck(target, source, poses[0])
+    return replace(
+        found,
+        rival=rival,
+        rival_net=0.0 if rival is None else float(net[apart[0]]),
+        num_matches=len(matches),
+        num_inliers=count_inliers(target.features, source.features, matches, found.pose),
+    )
+
+
+def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses) -> tuple[Poses, Poses]:
+    """Candidates (K, 3) by net evidence, best first, and that evidence (K,)."""
+    assert target.field is not None
+    assert source.field is not None
+    starts = _best_distinct(target.field, source.field, hypotheses, source.centre, COARSE_POINTS, NUM_STARTS)
+    wide, _ = refine(target.field, source.field, starts, source.centre, WIDE_REACHES, COARSE_POINTS)
+    wide = _best_distinct(target.field, source.field, wide, source.centre, FINE_POINTS, NUM_CANDIDATES)
+    tight, _ = refine(target.field, source.field, wide, source.centre, TIGHT_REACHES, FINE_POINTS)
+    poses = np.concatenate([tight, wide])
+    net = weigh(target, source, poses, EVIDENCE_POINTS).net
+    order = np.argsort(-net, kind="stable")
+    return poses[order], net[order]
+
+
+def recheck(target: PreparedMap, source: PreparedMap, pose: Poses) -> Finding:
+    """One pose (3,), refined with every point and weighed, whatever else might fit."""
+    assert target.field is not None
+    assert source.field is not None
+    polished, information = refine(target.field, source.field, pose[None], source.centre, POLISH_REACHES, POLISH_POINTS)
+    both = weigh(target, source, np.concatenate([polished, pose[None]]), EVIDENCE_POINTS)
+    # A bent map may fit better as it was found from afar than where its nearest walls draw it.
+    best = 0 if both.net[0] >= 0.9 * both.net[1] else 1
+    return Finding(
+        pose=(polished[0], pose)[best],
+        figures=both.of(best),
+        information=information[0],
+        rival=None,
+        rival_net=0.0,
+    )
+
+
+def distinct_cells(target: PreparedMap, source: PreparedMap) -> float:
+    """From how many cells on two poses are different answers: more for large maps, which bend."""
+    diagonal = min(math.hypot(*m.grid.cells.shape) for m in (target, source))
+    return max(DISTINCT_CELLS, DISTINCT_SHARE * diagonal)
+
+
+def _best_distinct(
+    target: SurfaceField, source: SurfaceField, poses: Poses, centre: Poses, num_points: int, count: int
+) -> Poses:
+    """The `count` best poses by a rough score, none of them within SAME_CELLS and SAME_DEGREES of a better one."""
+    score = _rough_score(target, source.surface, poses, num_points)
+    score = score + _rough_score(source, target.surface, inverse(poses), num_points)
+    poses = poses[np.argsort(-score, kind="stable")]
+    chosen: list[int] = []
+    apart = np.ones(len(poses), np.bool_)
+    for index in range(len(poses)):
+        if apart[index]:
+            chosen.append(index)
+            if len(chosen) == count:
+                break
+            apart &= differ(poses[index], poses, centre, SAME_CELLS, SAME_DEGREES)
+    return poses[chosen]
+
+
+def _rough_score(field: SurfaceField, surface: Surface, poses: Poses, num_points: int) -> Poses:
+    """(K,) net evidence of one direction, from few points, one tolerance and a fixed chance."""
+    some = surface.thinned(num_points)
+    found = encounters(field, some, poses)
+    depth = field.depth.ravel().take(found.cells)
+    known = depth != NOT_KNOWN
+    agrees = known & found.same_side & (found.squared <= COARSE_TOLERANCE_CELLS**2)
+    deep = known & (depth > COARSE_DEEP_CELLS) & (found.squared > COARSE_DEEP_CELLS**2)
+    n = known.sum(axis=-1)
+    evidence = against_chance(n, agrees.sum(axis=-1), np.asarray(COARSE_CHANCE))
+    return discounted(evidence, deep.sum(axis=-1) / np.maximum(n, 1)) * (len(surface) / len(some))

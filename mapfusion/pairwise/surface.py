@@ -1,0 +1,127 @@
+"""Walls as a robot sees them: the rim between free and occupied cells, with the side from which it was seen.
+
+Coordinates are in cells from the grid's corner: the centre of cell (row, col) is (x, y) = (col + 0.5, row + 0.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.grid import Mask
+
+Floats = npt.NDArray[np.float32]
+Points = Floats
+Bytes = npt.NDArray[np.uint8]
+Indices = npt.NDArray[np.int32]
+
+SPECKLE_CELLS = 5
+"""Islands of wall of fewer cells are taken for noise."""
+NORMAL_SIGMA = 1.5
+"""Blur of the wall image from whose gradient normals are taken, cells."""
+NOT_KNOWN = 255
+FIELD_MARGIN = 12
+"""A field reaches this many cells beyond its map."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The rim of the walls: free cells that touch a wall.
+
+    Attributes:
+        points: (N, 2) float32, x and y in cells.
+        normals: (N, 2) float32, unit vectors from the wall into free space.
+    """
+
+    points: Points
+    normals: Points
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def thinned(self, count: int) -> Surface:
+        """About `count` of the points, spread evenly over their order; all of them where there are fewer."""
+        if len(self) <= count:
+            return self
+        chosen = np.linspace(0, len(self) - 1, count).astype(np.intp)
+        return Surface(self.points[chosen], self.normals[chosen])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceField:
+    """For every cell of a map and a margin around it: the nearest point of the surface, and what is known.
+
+    Attributes:
+        surface: The surface, at least one point.
+        walls: (4, N) float32, the surface's x, y and its normals' x, y.
+        nearest: (H, W) int32, index into the surface; cell (0, 0) lies FIELD_MARGIN cells outside the map.
+        depth: (H, W) uint8, NOT_KNOWN where the map knows neither the cell nor one beside it; else the distance of a
+            free cell to the nearest cell that is not free, cells, and 0 for cells that are not free.
+    """
+
+    surface: Surface
+    walls: Floats
+    nearest: Indices
+    depth: Bytes
+
+    def cells_below(self, points: Points) -> Indices:
+        """(K, N) flat index of the cell below each of (K, 2, N) points; the field's edge for points outside."""
+        height, width = self.nearest.shape
+        cells = (points + np.float32(FIELD_MARGIN)).astype(np.int32)
+        flat: Indices = cells[:, 1].clip(0, height - 1) * np.int32(width) + cells[:, 0].clip(0, width - 1)
+        return flat
+
+
+def remove_speckle(walls: Mask) -> Mask:
+    """The walls without islands of fewer than SPECKLE_CELLS cells, and with single-cell holes closed."""
+    solid = walls.astype(np.uint8)
+    around = cv2.boxFilter(solid, cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT) - solid
+    solid |= around >= 7
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(solid, connectivity=8)
+    keep = stats[:, cv2.CC_STAT_AREA] >= SPECKLE_CELLS
+    keep[0] = False
+    kept: Mask = keep[labels]
+    return kept
+
+
+def close_gaps(walls: Mask, free: Mask) -> Mask:
+    """The free space, widened by the single unknown cells that some mappers leave between it and a wall."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    beside_wall, beside_free = (cv2.dilate(mask.astype(np.uint8), cross) > 0 for mask in (walls, free))
+    widened: Mask = free | (beside_wall & beside_free & ~walls)
+    return widened
+
+
+def extract_surface(walls: Mask, free: Mask) -> Surface:
+    """The rim of `walls` towards `free` (both (H, W) masks), in row-major order."""
+    solid = walls.astype(np.uint8)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    rows, cols = np.nonzero((cv2.dilate(solid, cross) > 0) & free)
+    blurred = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), NORMAL_SIGMA, borderType=cv2.BORDER_REPLICATE)
+    slope_x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0)[rows, cols]
+    slope_y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1)[rows, cols]
+    outwards = -np.stack([slope_x, slope_y], axis=-1)
+    length = np.maximum(np.linalg.norm(outwards, axis=-1, keepdims=True), 1e-6)
+    return Surface(
+        points=np.stack([cols + 0.5, rows + 0.5], axis=-1).astype(np.float32),
+        normals=(outwards / length).astype(np.float32),
+    )
+
+
+def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
+    """The field of a surface of at least one point; `free` and `known` are the map's (H, W) masks."""
+    m = FIELD_MARGIN
+    columns, rows = (surface.points[:, i].astype(np.int32) + m for i in (0, 1))
+    elsewhere = np.ones((free.shape[0] + 2 * m, free.shape[1] + 2 * m), np.uint8)
+    elsewhere[rows, columns] = 0
+    _, labels = cv2.distanceTransformWithLabels(elsewhere, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    order = np.zeros(int(labels.max()) + 1, np.int32)
+    order[labels[rows, columns]] = np.arange(len(surface), dtype=np.int32)
+    free_depth = cv2.distanceTransform(np.pad(free.astype(np.uint8), m), cv2.DIST_L2, 3)
+    near_known = cv2.dilate(np.pad(known.astype(np.uint8), m), np.ones((3, 3), np.uint8))
+    depth = np.where(near_known > 0, np.minimum(free_depth, NOT_KNOWN - 1), NOT_KNOWN).astype(np.uint8)
+    walls = np.concatenate([surface.points.T, surface.normals.T])
+    return SurfaceField(surface, np.ascontiguousarray(walls), order[labels], depth)

@@ -1,0 +1,151 @@
+"""Whether a fusion is to be trusted: in a number, and in words."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mapfusion.config import FusionConfig
+from mapfusion.pairwise.agreement import Agreement
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS
+from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.search import Finding
+from mapfusion.result import PairFusion
+from mapfusion.transform import SE2, FloatArray
+
+MIN_WALL_CELLS = 40
+"""A map with less wall than this beside free space says nothing."""
+MIN_EVIDENCE = 12.0
+"""Net evidence below which agreement is no better than what the search finds between any two maps."""
+MIN_CONDITIONING = 0.05
+"""Least smallest / largest eigenvalue of what the agreeing walls fix of the translation."""
+MIN_DISTINCTNESS = 1.25
+"""A different alignment with more than 1 / this of the evidence makes a pair ambiguous, whatever the confidence."""
+MIN_CONFIDENCE = 0.9
+MIN_RESIDUAL_CELLS = 0.3
+"""Cells are no points: walls are not placed better than this."""
+
+BIAS = -10.5
+WEIGHT_EVIDENCE = 1.15
+WEIGHT_DISTINCTNESS = 2.5
+WEIGHT_CONTRADICTION = -0.83
+WEIGHT_CONDITIONING = 2.9
+WEIGHT_OVERLAP = 0.72
+"""Weights of the logistic model of `confidence`; benchmarks/RESULTS.md says what they were fitted on."""
+
+
+def too_little(target: PreparedMap, source: PreparedMap) -> PairFusion | None:
+    """The refusal of maps that cannot be compared at all; None where they can."""
+    for prepared, name in ((target, "one"), (source, "other")):
+        walls = 0 if prepared.field is None else len(prepared.field.surface)
+        if walls < MIN_WALL_CELLS:
+            return PairFusion(
+                accepted=False,
+                reason=f"too few walls: the {name} map has {walls} wall cells beside free space, "
+                f"at least {MIN_WALL_CELLS} are needed",
+                gate="few walls",
+                num_keypoints_target=len(target.features),
+                num_keypoints_source=len(source.features),
+                resolution_m=target.grid.resolution_m,
+            )
+    return None
+
+
+def judge(
+    target: PreparedMap,
+    source: PreparedMap,
+    config: FusionConfig,
+    finding: Finding,
+    T_target_source: SE2,
+    rival: SE2 | None,
+    cells: Agreement,
+) -> PairFusion:
+    """The verdict on the best pose that was found, `T_target_source`, and its rival."""
+    confidence = _confidence(finding)
+    gate, reason = _refusal(config, finding, confidence, cells)
+    return PairFusion(
+        accepted=not gate,
+        reason=reason,
+        gate=gate,
+        T_target_source=T_target_source,
+        confidence=confidence,
+        mae=cells.mae,
+        overlap_ratio=cells.overlap_ratio,
+        overlap_cells=cells.overlap_cells,
+        num_keypoints_target=len(target.features),
+        num_keypoints_source=len(source.features),
+        num_matches=finding.num_matches,
+        num_inliers=finding.num_inliers,
+        covariance=_covariance(target, source, finding, T_target_source),
+        resolution_m=target.grid.resolution_m,
+        rival=rival if gate == "ambiguous" else None,
+        evidence={**finding.figures, "distinctness": _distinctness(finding)},
+    )
+
+
+def _distinctness(finding: Finding) -> float:
+    """Net evidence over that of the best different alignment, at most 8: beyond, more says nothing more."""
+    net = max(finding.figures["net"], 1e-9)
+    return min(net / max(finding.rival_net, 1e-9), 8.0)
+
+
+def _confidence(finding: Finding) -> float:
+    figures = finding.figures
+    x = (
+        BIAS
+        + WEIGHT_EVIDENCE * math.log(max(figures["net"], 1.0))
+        + WEIGHT_DISTINCTNESS * math.log(_distinctness(finding))
+        + WEIGHT_CONTRADICTION * math.log(0.03 + figures["contradiction"])
+        + WEIGHT_CONDITIONING * math.sqrt(figures["conditioning"])
+        + WEIGHT_OVERLAP * math.log(max(figures["mutual_ratio"], 0.01))
+    )
+    return 1.0 / (1.0 + math.exp(-x))
+
+
+def _refusal(config: FusionConfig, finding: Finding, confidence: float, cells: Agreement) -> tuple[str, str]:
+    """Gate and reason; both empty where nothing speaks against the fusion."""
+    figures, distinctness = finding.figures, _distinctness(finding)
+    agreement = f"{figures['ratio']:.0%} of the walls in the common area agree, {figures['chance']:.0%} would by chance"
+    if cells.mae is None:
+        return "no overlap", "the best alignment leaves no cell that both maps know"
+    if config.mae_threshold is not None and cells.mae >= config.mae_threshold:
+        return "mae", f"mean absolute error {cells.mae:.1f} grey levels, not below {config.mae_threshold:g}"
+    if figures["net"] < MIN_EVIDENCE:
+        return "chance", f"agreement is no better than what chance brings between unrelated maps: {agreement}"
+    if figures["conditioning"] < MIN_CONDITIONING:
+        return "one direction", (
+            "walls agree in one direction only: a straight wall or corridor fixes nothing along itself "
+            f"({figures['conditioning']:.3f} of the constraint across, at least {MIN_CONDITIONING} is needed)"
+        )
+    if distinctness < MIN_DISTINCTNESS:
+        return "ambiguous", (
+            "a second, different alignment explains the maps almost as well "
+            f"({1.0 / distinctness:.2f} of the evidence; the best: {agreement})"
+        )
+    if confidence < MIN_CONFIDENCE:
+        return "confidence", (
+            f"not sure enough ({confidence:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, "
+            f"walls in the other's free space are {figures['contradiction']:.2f} of what chance would put there, "
+            f"the best different alignment has {1.0 / distinctness:.2f} of the evidence"
+        )
+    return "", ""
+
+
+def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_target_source: SE2) -> FloatArray:
+    """(3, 3) of (x_m, y_m, yaw_rad) in the target's frame.
+
+    The information matrix counts wall cells; neighbouring ones err together, so DEPENDENT_CELLS of them count as one.
+    """
+    resolution_m = target.grid.resolution_m
+    variance = DEPENDENT_CELLS * max(finding.figures["residual_cells"], MIN_RESIDUAL_CELLS) ** 2
+    at_centre = variance * np.linalg.inv(finding.information + 1e-3 * np.eye(3))
+    turn = SE2(0.0, 0.0, target.grid.T_frame_grid.yaw_rad).matrix()
+    to_metres = turn * np.array([resolution_m, resolution_m, 1.0])
+    # The centre's position and the yaw were estimated; the translation follows as centre - R(yaw) arm.
+    centre = source.grid.T_frame_grid.apply(source.centre * resolution_m)
+    arm = SE2(0.0, 0.0, T_target_source.yaw_rad).apply(centre)
+    lever = np.array([[1.0, 0.0, arm[1]], [0.0, 1.0, -arm[0]], [0.0, 0.0, 1.0]])
+    jacobian = lever @ to_metres
+    result: FloatArray = jacobian @ at_centre @ jacobian.T
+    return result

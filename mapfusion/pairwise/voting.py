@@ -1,0 +1,116 @@
+"""Hypotheses from features: an oriented keypoint match alone fixes a rigid motion, so each match votes.
+
+Votes are cast for the rotation and for where the source's centre comes to lie: an error of the angle then moves a
+vote by at most half the map's diagonal times that error. Source: the Hough transform as Lowe (IJCV 2004) uses it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.pairwise.features import Features
+from mapfusion.pairwise.poses import Poses, moved, pose_from_centre
+
+NUM_NEIGHBOURS = 3
+"""Repeated corners look alike: the right partner need not be the nearest."""
+MAX_DISTANCE_BITS = 80
+ANGLE_BINS = 60
+INLIER_CELLS = 3.0
+POSITION_BIN = 16.0
+"""Edge of a bin of the centre's position, cells."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Pairs of keypoints that look alike.
+
+    Attributes:
+        target: (M,) index into the target's features.
+        source: (M,) index into the source's features.
+    """
+
+    target: npt.NDArray[np.intp]
+    source: npt.NDArray[np.intp]
+
+    def __len__(self) -> int:
+        return len(self.target)
+
+
+def match(target: Features, source: Features) -> Matches:
+    """The nearest neighbours in both directions, each pair once."""
+    if not len(target) or not len(source):
+        none = np.zeros(0, np.intp)
+        return Matches(none, none)
+    forward = _nearest(source, target)
+    backward = _nearest(target, source)[:, ::-1]
+    pairs = np.unique(np.concatenate([forward, backward]), axis=0)
+    return Matches(pairs[:, 1], pairs[:, 0])
+
+
+def _nearest(query: Features, train: Features) -> npt.NDArray[np.intp]:
+    """(M, 2) indices into query and train."""
+    bits, index = cv2.batchDistance(
+        query.descriptors,
+        train.descriptors,
+        cv2.CV_32S,
+        normType=cv2.NORM_HAMMING,
+        K=min(NUM_NEIGHBOURS, len(train)),
+    )
+    rows, ranks = np.nonzero(bits <= MAX_DISTANCE_BITS)
+    return np.stack([rows, index[rows, ranks]], -1).astype(np.intp)
+
+
+def count_inliers(target: Features, source: Features, matches: Matches, pose: Poses) -> int:
+    """How many matches a pose (3,) brings together within INLIER_CELLS."""
+    if not len(matches):
+        return 0
+    there = moved(pose[None], source.points[matches.source])[0]
+    gap = np.linalg.norm(there.T - target.points[matches.target], axis=-1)
+    return int(np.count_nonzero(gap <= INLIER_CELLS))
+
+
+def vote(target: Features, source: Features, matches: Matches, centre: Poses, count: int) -> Poses:
+    """Up to `count` poses (K, 3) with the most votes, best first; `centre` (2,) is the source's, in cells."""
+    if not len(matches):
+        return np.zeros((0, 3))
+    theta = (target.angles_rad[matches.target] - source.angles_rad[matches.source]).astype(np.float64)
+    c, s = np.cos(theta), np.sin(theta)
+    lever = centre - source.points[matches.source]
+    centres = target.points[matches.target] + np.stack(
+        [c * lever[:, 0] - s * lever[:, 1], s * lever[:, 0] + c * lever[:, 1]], -1
+    )
+    angle_at = np.remainder(theta, 2 * math.pi) * (ANGLE_BINS / (2 * math.pi))
+    corner = centres.min(axis=0) - POSITION_BIN
+    place_at = (centres - corner) / POSITION_BIN
+    num_x, num_y = (int(n) + 3 for n in place_at.max(axis=0))
+    keys, shares = [], []
+    # Each vote is shared among the eight bins around it, so that a peak on a bin's border is not split.
+    for da in (0, 1):
+        a = np.floor(angle_at - 0.5).astype(np.int64) + da
+        wa = 1.0 - np.abs(angle_at - 0.5 - a)
+        for dx in (0, 1):
+            x = np.floor(place_at[:, 0] - 0.5).astype(np.int64) + dx
+            wx = wa * (1.0 - np.abs(place_at[:, 0] - 0.5 - x))
+            for dy in (0, 1):
+                y = np.floor(place_at[:, 1] - 0.5).astype(np.int64) + dy
+                keys.append((np.remainder(a, ANGLE_BINS) * num_x + x) * num_y + y)
+                shares.append(wx * (1.0 - np.abs(place_at[:, 1] - 0.5 - y)))
+    key, weight = np.concatenate(keys), np.concatenate(shares)
+    bins, inverse = np.unique(key, return_inverse=True)
+    total = np.bincount(inverse, weight)
+    best = np.lexsort((bins, -total))[:count]
+    rank = np.full(len(bins), -1)
+    rank[best] = np.arange(len(best))
+    slot = rank[inverse]
+    inside = slot >= 0
+    slot, weight = slot[inside], weight[inside]
+    member = np.tile(np.arange(len(theta)), 8)[inside]
+    mass = np.maximum(np.bincount(slot, weight, len(best)), 1e-9)
+    mean_x, mean_y = (np.bincount(slot, weight * centres[member, i], len(best)) / mass for i in (0, 1))
+    sin, cos = (np.bincount(slot, weight * f(theta[member]), len(best)) for f in (np.sin, np.cos))
+    return pose_from_centre(np.arctan2(sin, cos), np.stack([mean_x, mean_y], -1), centre)

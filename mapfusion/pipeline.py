@@ -1,0 +1,177 @@
+"""The whole method, from events to fused maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import numpy as np
+
+from mapfusion.config import ReplayConfig
+from mapfusion.fusion import PairFuser
+from mapfusion.grid import OccupancyGrid
+from mapfusion.groups import Groups
+from mapfusion.joins import Joins, Pair
+from mapfusion.merge import merge_grids
+from mapfusion.result import PairFusion
+from mapfusion.steps import Event, FusionStep, PairReport, Path, Placement, PoseSource
+from mapfusion.timeline import Snapshot, snapshots
+from mapfusion.transform import SE2
+
+
+def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Iterator[FusionStep]:
+    """Fuses a mission over time.
+
+    Args:
+        events: Robots before their grids, grids in the order of their stamps; taken one by one, never held.
+        config: Settings; the defaults where None.
+
+    Returns:
+        The state at every snapshot, or at the last one alone with `config.final_only`; nothing without a grid.
+        The same events and settings give the same steps, whatever `config.jobs`.
+
+    Raises:
+        ValueError: Events out of order.
+    """
+    config = config or ReplayConfig()
+    fuser, joins, groups, maps = PairFuser(config.fusion), Joins(), Groups(config.reference), _MergedMaps(config)
+    with _concurrent_map(config.jobs) as each:
+        for snapshot in snapshots(events, config):
+            fusions = _fuse_due_pairs(snapshot, joins, fuser, config, each)
+            placements, changes = groups.update(joins.held)
+            if config.final_only and not snapshot.is_last:
+                continue
+            yield FusionStep(
+                stamp_ns=snapshot.stamp_ns,
+                is_last=snapshot.is_last,
+                placements=placements,
+                poses=_poses(snapshot, placements),
+                pairs=tuple(_report(pair, fusion, snapshot, placements) for pair, fusion in fusions.items()),
+                maps=maps.due(snapshot, placements),
+                changes=changes,
+                paths=_paths(snapshot, placements) if snapshot.is_last else {},
+                map_frames={robot: event.map_frame for robot, event in snapshot.robots.items()},
+            )
+
+
+_Map = Callable[[Callable[[Pair], PairFusion], Iterable[Pair]], Iterable[PairFusion]]
+
+
+@contextmanager
+def _concurrent_map(jobs: int) -> Iterator[_Map]:
+    """`map`, over threads where there are several jobs: OpenCV and numpy let go of the interpreter's lock."""
+    if jobs == 1:
+        yield map
+    else:
+        with ThreadPoolExecutor(jobs) as executor:
+            yield executor.map
+
+
+def _fuse_due_pairs(
+    snapshot: Snapshot, joins: Joins, fuser: PairFuser, config: ReplayConfig, each: _Map
+) -> dict[Pair, PairFusion]:
+    """Looks at every pair of which a map changed, and takes note in `joins`."""
+    pairs = joins.due(snapshot.grids)
+    fuser.forget_all_but(newest.grid for newest in snapshot.grids.values())
+
+    def look(pair: Pair) -> PairFusion:
+        a, b = (snapshot.grids[robot] for robot in pair)
+        too_old = None if pair in joins.held else _too_old(pair, snapshot, config)
+        return too_old or fuser.fuse(a.grid, b.grid, joins.guess(pair))
+
+    fusions = dict(zip(pairs, each(look, pairs), strict=True))
+    for pair, fusion in fusions.items():
+        joins.record(pair, snapshot.grids, fusion)
+    return fusions
+
+
+def _too_old(pair: Pair, snapshot: Snapshot, config: ReplayConfig) -> PairFusion | None:
+    """A refusal where a grid is too old to start a join."""
+    for robot in pair:
+        age_s = _age_s(robot, snapshot)
+        if config.max_age_s is not None and age_s > config.max_age_s:
+            reason = f"the newest map of {robot} is {age_s:.1f} s old, more than the {config.max_age_s:g} s allowed"
+            return PairFusion(accepted=False, reason=reason, gate="old map")
+    return None
+
+
+def _age_s(robot: str, snapshot: Snapshot) -> float:
+    return (snapshot.stamp_ns - snapshot.grids[robot].stamp_ns) * 1e-9
+
+
+def _report(pair: Pair, fusion: PairFusion, snapshot: Snapshot, placements: Mapping[str, Placement]) -> PairReport:
+    a, b = pair
+    placed = a in placements and b in placements and placements[a].group == placements[b].group
+    return PairReport(a, b, fusion, placed, _age_s(a, snapshot), _age_s(b, snapshot))
+
+
+def _poses(snapshot: Snapshot, placements: Mapping[str, Placement]) -> dict[str, SE2]:
+    """Poses with heading in the group's frame (Zick et al. 2025, 3.5), of the robots whose pose is known."""
+    stamps = np.array([snapshot.stamp_ns], np.int64)
+    poses = {}
+    for robot, placement in placements.items():
+        source = snapshot.robots[robot].poses
+        x_m, y_m, yaw_rad = (np.nan,) * 3 if source is None else source.poses_at(stamps)[0]
+        if np.isfinite(x_m + y_m + yaw_rad):
+            poses[robot] = placement.T_group_map @ SE2(x_m, y_m, yaw_rad)
+    return poses
+
+
+def _paths(snapshot: Snapshot, placements: Mapping[str, Placement]) -> dict[str, Path]:
+    """Whole trajectories under the last placements."""
+    paths = {}
+    for robot, placement in placements.items():
+        source = snapshot.robots[robot].poses
+        if source is not None and source.stamps_ns.size:
+            paths[robot] = _path(source, placement.T_group_map)
+    return paths
+
+
+def _path(source: PoseSource, T_group_map: SE2) -> Path:
+    stamps_ns = source.stamps_ns
+    poses = source.poses_at(stamps_ns)
+    yaw_rad = (poses[:, 2] + T_group_map.yaw_rad + np.pi) % (2.0 * np.pi) - np.pi
+    return Path(stamps_ns, np.column_stack([T_group_map.apply(poses[:, :2]), yaw_rad]))
+
+
+class _MergedMaps:
+    """Merges a group's maps when something changed, at most every `map_interval_s`, and at the last snapshot."""
+
+    def __init__(self, config: ReplayConfig) -> None:
+        self._config = config
+        self._merged: dict[int, tuple[int, object]] = {}
+
+    def due(self, snapshot: Snapshot, placements: Mapping[str, Placement]) -> dict[int, OccupancyGrid]:
+        members: dict[int, list[str]] = {}
+        for robot, placement in placements.items():
+            members.setdefault(placement.group, []).append(robot)
+        return {
+            group: self._merge(group, robots, snapshot, placements)
+            for group, robots in sorted(members.items())
+            if self._is_due(group, robots, snapshot, placements)
+        }
+
+    def _is_due(self, group: int, robots: list[str], snapshot: Snapshot, placements: Mapping[str, Placement]) -> bool:
+        if group not in self._merged:
+            return True
+        stamp_ns, state = self._merged[group]
+        changed = state != self._state(robots, snapshot, placements)
+        waited = snapshot.stamp_ns - stamp_ns >= round(self._config.map_interval_s * 1e9)
+        return snapshot.is_last or (changed and waited)
+
+    def _merge(
+        self, group: int, robots: list[str], snapshot: Snapshot, placements: Mapping[str, Placement]
+    ) -> OccupancyGrid:
+        self._merged[group] = (snapshot.stamp_ns, self._state(robots, snapshot, placements))
+        return merge_grids(
+            [snapshot.grids[robot].grid for robot in robots],
+            [placements[robot].T_group_map for robot in robots],
+            self._config.blend,
+            self._config.resolution_m,
+            snapshot.stamp_ns,
+        )
+
+    @staticmethod
+    def _state(robots: list[str], snapshot: Snapshot, placements: Mapping[str, Placement]) -> object:
+        return tuple((robot, snapshot.grids[robot].version, placements[robot]) for robot in robots)

@@ -1,0 +1,1 @@
+"""Simulated places, maps and missions with known truth."""

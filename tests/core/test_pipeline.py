@@ -1,0 +1,94 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapfusion.config import FusionConfig, ReplayConfig
+from mapfusion.pipeline import replay
+from mapfusion.steps import Event, FusionStep
+from mapfusion.transform import SE2
+from tests.fakes import SECOND_NS, StillPoses, flat, grid_event, grid_of, robot_event, rooms, seen_from
+
+PLACE = rooms()
+T_PLACE_A, T_PLACE_B = SE2(1.0, 2.0, 0.2), SE2(4.0, 9.0, -0.6)
+T_A_B = T_PLACE_A.inverse() @ T_PLACE_B
+MAP_A, MAP_B = (seen_from(PLACE, pose, (260, 260)) for pose in (T_PLACE_A, T_PLACE_B))
+PAPER = ReplayConfig(fusion=FusionConfig(profile="paper"))
+
+
+def mission() -> list[Event]:
+    poses = StillPoses(SE2(3.0, 2.0, 1.0), [0, 6 * SECOND_NS])
+    return [
+        robot_event("a", poses),
+        robot_event("b", poses),
+        robot_event("c"),
+        grid_event("c", 0.0, grid_of(flat(40, 40))),
+        grid_event("a", 1.0, MAP_A),
+        grid_event("b", 2.0, MAP_B),
+        grid_event("a", 4.0, MAP_A),
+    ]
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[FusionStep]:
+    return list(replay(mission(), PAPER))
+
+
+def test_robots_are_placed_when_their_maps_join(steps: list[FusionStep]) -> None:
+    assert [step.stamp_ns // SECOND_NS for step in steps] == [0, 1, 2, 3, 4, 5, 6]
+    assert [sorted(step.placements) for step in steps] == [[], [], *[["a", "b"]] * 5]
+    distance_m, angle_rad = steps[-1].placements["b"].T_group_map.distance_to(T_A_B)
+    assert distance_m < 0.2
+    assert angle_rad < 0.02
+    assert [step.changes for step in steps if step.changes] == [("group 1 formed: a, b",)]
+
+
+def test_pairs_are_looked_at_only_when_a_map_changed(steps: list[FusionStep]) -> None:
+    looked = [[(report.a, report.b) for report in step.pairs] for step in steps]
+    assert looked == [[], [("a", "c")], [("a", "b"), ("b", "c")], [], [("a", "b"), ("a", "c")], [], []]
+    report = steps[2].pairs[0]
+    assert (report.age_a_s, report.age_b_s, report.placed) == (1.0, 0.0, True)
+
+
+def test_poses_and_paths_are_in_the_groups_frame(steps: list[FusionStep]) -> None:
+    pose = steps[-1].poses["b"]
+    expected = T_A_B @ SE2(3.0, 2.0, 1.0)
+    distance_m, angle_rad = pose.distance_to(expected)
+    assert distance_m < 0.2
+    assert angle_rad < 0.02
+    assert not steps[1].poses
+    path = steps[-1].paths["b"]
+    assert path.stamps_ns.tolist() == [0, 6 * SECOND_NS]
+    np.testing.assert_allclose(path.poses[0], [pose.x_m, pose.y_m, pose.yaw_rad], atol=1e-9)
+    assert all(not step.paths for step in steps[:-1])
+
+
+def test_maps_come_when_they_changed_at_most_every_interval_and_at_the_end(steps: list[FusionStep]) -> None:
+    assert [step.stamp_ns // SECOND_NS for step in steps if step.maps] == [2, 6]
+    often = list(replay(mission(), replace(PAPER, map_interval_s=0.0)))
+    assert [step.stamp_ns // SECOND_NS for step in often if step.maps] == [2, 4, 6]
+
+
+def test_final_only_gives_the_same_last_step(steps: list[FusionStep]) -> None:
+    (only,) = replay(mission(), replace(PAPER, final_only=True))
+    assert only.placements == steps[-1].placements
+    assert only.is_last
+    np.testing.assert_array_equal(only.maps[1].cells, steps[-1].maps[1].cells)
+
+
+def test_jobs_do_not_change_the_result(steps: list[FusionStep]) -> None:
+    threaded = list(replay(mission(), replace(PAPER, jobs=3)))
+    assert [step.placements for step in threaded] == [step.placements for step in steps]
+
+
+def test_an_old_map_starts_no_join() -> None:
+    events: list[Event] = [
+        robot_event("a"),
+        robot_event("b"),
+        grid_event("a", 0.0, MAP_A),
+        grid_event("b", 20.0, MAP_B),
+    ]
+    late = list(replay(events, replace(PAPER, max_age_s=5.0)))
+    assert not late[-1].placements
+    assert late[-1].pairs[0].fusion.gate == "old map"
+    assert list(replay(events, PAPER))[-1].placements

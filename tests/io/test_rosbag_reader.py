@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import random
+import sqlite3
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+from rosbags.rosbag2 import StoragePlugin
+
+from mapfusion.errors import LogReadError
+from mapfusion_io.decode import Decoder
+from mapfusion_io.read_limits import ReadLimits
+from mapfusion_io.rosbag_reader import Rosbag1Recording, Sqlite3Recording
+from mapfusion_io.sniff import open_one
+from tests.io.making import (
+    SHARED,
+    Sent,
+    delivered,
+    mission_messages,
+    ros1_grid,
+    small_cells,
+    write_rosbag1,
+    write_rosbag2,
+)
+
+MESSAGES = mission_messages(40)
+GRID = "nav_msgs/msg/OccupancyGrid"
+ROS1_MESSAGES = [Sent(f"/robot{k % 2}/map", GRID, 10**9 + k, ros1_grid(small_cells(k))) for k in range(20)]
+
+
+def database(tmp_path: Path) -> Path:
+    write_rosbag2(tmp_path / "run", MESSAGES, StoragePlugin.SQLITE3)
+    return tmp_path / "run" / "run.db3"
+
+
+@pytest.mark.parametrize("compression", [None, *Rosbag1Writer.CompressionFormat])
+def test_bag_round_trip(tmp_path: Path, compression: Rosbag1Writer.CompressionFormat | None) -> None:
+    path = tmp_path / "run.bag"
+    write_rosbag1(path, ROS1_MESSAGES, compression)
+    recording = Rosbag1Recording(path)
+    assert delivered(recording) == ROS1_MESSAGES
+    assert recording.losses == ()
+    assert not recording.integrity_verifiable
+    assert list(recording.attachments()) == []
+    assert list(recording.metadata()) == []
+    raw = next(iter(recording.messages(lambda channel: True)))
+    assert (raw.channel.schema_encoding, raw.channel.message_encoding) == ("ros1msg", "ros1")
+    assert Decoder().decode(raw).header.frame_id == "/map"
+
+
+def test_keep_and_identity_of_channels(tmp_path: Path) -> None:
+    path = tmp_path / "run.bag"
+    write_rosbag1(path, ROS1_MESSAGES)
+    recording = Rosbag1Recording(path)
+    first = {raw.channel for raw in recording.messages(lambda channel: channel.topic == "/robot1/map")}
+    second = {raw.channel for raw in recording.messages(lambda channel: channel.topic == "/robot1/map")}
+    assert first == second
+    assert len(first) == 1
+    assert list(recording.messages(lambda channel: False)) == []
+
+
+def test_decompressed_chunks_of_a_bag_are_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "run.bag"
+    sent = Sent("/map", GRID, 5, ros1_grid(small_cells(0, (400, 500))))
+    write_rosbag1(path, [sent], Rosbag1Writer.CompressionFormat.BZ2)
+    recording = Rosbag1Recording(path, ReadLimits(record_bytes=10_000))
+    assert delivered(recording) == []
+    (loss,) = recording.losses
+    assert (loss.topic, loss.count) == ("/map", 1)
+    assert "10000 bytes" in loss.detail
+
+
+def test_damaged_bags_end_in_an_error_or_with_losses(tmp_path: Path) -> None:
+    path = tmp_path / "run.bag"
+    write_rosbag1(path, ROS1_MESSAGES, Rosbag1Writer.CompressionFormat.LZ4)
+    content = path.read_bytes()
+    rng = random.Random(3)
+    outcomes: Counter[str] = Counter()
+    for index in range(150):
+        damaged = bytearray(content)
+        if index % 2:
+            damaged = damaged[: rng.randrange(13, len(content))]
+        else:
+            damaged[rng.randrange(13, len(content))] ^= 1 << rng.randrange(8)
+        path.write_bytes(damaged)
+        recording = open_one(path)
+        start = time.perf_counter()
+        try:
+            found = delivered(recording)
+        except LogReadError as error:
+            outcomes["error"] += len(str(error).splitlines()) == 2
+        else:
+            outcomes["read" if len(found) == len(ROS1_MESSAGES) else "losses"] += 1
+            assert recording.losses or len(found) >= len(ROS1_MESSAGES) - 1
+        assert time.perf_counter() - start < 5.0
+    assert outcomes.total() == 150
+    assert outcomes["error"] > 70  # every truncation: the index stands at the end
+
+
+def test_database_of_an_old_release_has_no_definitions(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    connection = sqlite3.connect(path)
+    connection.executescript("DROP TABLE schema; DROP TABLE message_definitions; DROP TABLE metadata;")
+    connection.close()
+    recording = Sqlite3Recording(path)
+    assert delivered(recording) == MESSAGES
+    raw = next(iter(recording.messages(lambda channel: channel.topic == "/robot1/map")))
+    assert (raw.channel.schema_encoding, raw.channel.schema_data) == ("", b"")
+    assert Decoder().decode(raw).info.width == 15
+
+
+def test_rows_that_are_no_messages(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    connection = sqlite3.connect(path)
+    connection.execute("UPDATE messages SET data = 'text' WHERE id = 1")
+    connection.execute("UPDATE messages SET topic_id = 99 WHERE id = 2")
+    connection.commit()
+    connection.close()
+    recording = Sqlite3Recording(path)
+    assert delivered(recording) == MESSAGES[2:]
+    assert [(loss.kind, loss.topic, loss.count) for loss in recording.losses] == [
+        ("definition lost", "", 1),
+        ("missing messages", "/tf", 1),
+    ]
+
+
+def test_journal_that_was_never_merged_is_named(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    path.with_name("run.db3-wal").write_bytes(b"x")
+    recording = Sqlite3Recording(path)
+    delivered(recording)
+    assert [loss.kind for loss in recording.losses] == ["unmerged journal"]
+
+
+def test_damaged_databases_end_in_an_error_or_with_losses(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    content = path.read_bytes()
+    rng = random.Random(4)
+    outcomes: Counter[str] = Counter()
+    for index in range(80):
+        damaged = bytearray(content)
+        if index % 2:
+            damaged = damaged[: rng.randrange(20, len(content))]
+        else:
+            for _ in range(20):
+                damaged[rng.randrange(20, len(content))] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            delivered(Sqlite3Recording(path))
+        except LogReadError as error:
+            outcomes["error"] += len(str(error).splitlines()) == 2
+        else:
+            outcomes["read"] += 1
+    assert outcomes["error"] > 10
+    assert outcomes.total() == 80
+
+
+RECORDINGS = {
+    "missions/two_robots.mcap": ("mcap", {"/tf": 520, "/robot1/map": 22, "/robot2/map": 22}),
+    "missions/three_robots.bag": ("rosbag1", {"/tf": 660, "/robot1/map": 19, "/robot2/map": 19, "/robot3/map": 19}),
+    "recordings/isr_small/1.bag": ("rosbag1", {"/tf": 6076, "/map": 23}),
+    "recordings/rosbag2/test_bag_for_seek_sqlite3": ("rosbag2-sqlite3", {"topic1": 5}),
+    "recordings/rosbag2/test_bag_for_seek_mcap": ("rosbag2-mcap", {"topic1": 5}),
+    "missions/updates_odom": (
+        "rosbag2-sqlite3",
+        {
+            "/robot1/odom": 220,
+            "/robot2/odom": 220,
+            "/robot1/map": 15,
+            "/robot2/map": 12,
+            "/robot1/map_updates": 4,
+            "/robot2/map_updates": 7,
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_recordings_of_others(name: str) -> None:
+    path = SHARED / name
+    if not path.exists():
+        pytest.skip("no such recording beside the repository")
+    recording, decoder = open_one(path), Decoder()
+    topics: Counter[str] = Counter()
+    for raw in recording.messages(lambda channel: True):
+        topics[raw.channel.topic] += 1
+        if raw.channel.topic != "topic1":
+            decoder.decode(raw)
+    assert (recording.container, topics) == RECORDINGS[name]
+    assert recording.losses == ()
