@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
+
+from mapfusion.transform import SE2
 
 Profile = Literal["default", "paper"]
 Blend = Literal["log-odds", "max", "paper"]
@@ -33,6 +36,26 @@ class FusionConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class Prior:
+    """Known start of a robot.
+
+    Attributes:
+        T_world_map: Pose of the robot's map frame in the world.
+        sigma_m: Standard deviation of the position; 0 with `sigma_rad` 0: it holds whatever the maps say.
+        sigma_rad: Standard deviation of the heading.
+    """
+
+    T_world_map: SE2
+    sigma_m: float = 0.0
+    sigma_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        sigmas = (self.sigma_m, self.sigma_rad)
+        if not (all(math.isfinite(sigma) and sigma >= 0.0 for sigma in sigmas) and (min(sigmas) > 0.0) == any(sigmas)):
+            raise ValueError(f"the sigmas of a prior must both be > 0, or both 0, not {sigmas}")
+
+
+@dataclass(frozen=True, slots=True)
 class ReplayConfig:
     """How a mission is replayed.
 
@@ -44,6 +67,8 @@ class ReplayConfig:
         blend: How cells that several maps know are combined.
         resolution_m: Cell size of merged maps; None: the finest of the group's maps.
         final_only: Give the last snapshot only.
+        priors: Known starts, by robot.
+        never: Pairs of robots that must not come into one group.
         start_ns: No snapshot before this time; grids from before it still count. None: from the first stamp.
         jobs: Threads that fuse pairs, >= 1. Changes the time, never the result.
         fusion: How two maps are fused.
@@ -56,6 +81,8 @@ class ReplayConfig:
     blend: Blend = "log-odds"
     resolution_m: float | None = None
     final_only: bool = False
+    priors: Mapping[str, Prior] = field(default_factory=dict)
+    never: frozenset[frozenset[str]] = frozenset()
     start_ns: int | None = None
     jobs: int = 1
     fusion: FusionConfig = field(default_factory=FusionConfig)

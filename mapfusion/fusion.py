@@ -39,15 +39,26 @@ class PairFuser:
         self._paper_maps = _Prepared(paper.prepare)
         self._default_maps = _Prepared(default.prepare)
 
-    def fuse(self, target: OccupancyGrid, source: OccupancyGrid, guess: SE2 | None = None) -> PairFusion:
-        """As `fuse_pair`; `guess` is a T_target_source known from before, which the default profile verifies first."""
+    def fuse(self, target: OccupancyGrid, source: OccupancyGrid) -> PairFusion:
+        """As `fuse_pair`."""
         resolution_m = max(target.resolution_m, source.resolution_m)
         if self._config.profile == "paper":
             maps = self._paper_maps
             return paper.fuse(maps.of(target, resolution_m), maps.of(source, resolution_m), self._config)
         prepared = self._default_maps
-        return default.fuse(
-            prepared.of(target, resolution_m), prepared.of(source, resolution_m), self._config, guess=guess
+        return default.fuse(prepared.of(target, resolution_m), prepared.of(source, resolution_m), self._config)
+
+    def verify(self, target: OccupancyGrid, source: OccupancyGrid, T_target_source: SE2) -> PairFusion:
+        """Judges a transform that is known from before, without looking for another one."""
+        resolution_m = max(target.resolution_m, source.resolution_m)
+        if self._config.profile == "paper":
+            maps = self._paper_maps
+            return paper.verify(
+                maps.of(target, resolution_m), maps.of(source, resolution_m), T_target_source, self._config
+            )
+        prepared = self._default_maps
+        return default.verify(
+            prepared.of(target, resolution_m), prepared.of(source, resolution_m), T_target_source, self._config
         )
 
     def prepare(self, grid: OccupancyGrid, resolution_m: float) -> None:

@@ -3,14 +3,32 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-from mapfusion.joins import Join, Pair
+from mapfusion.posegraph import Edge, Misfit, Pair, components, solve
 from mapfusion.steps import Placement, natural_key
 from mapfusion.transform import SE2
 
 MAX_STEP_M = 0.25
 """A placed robot moves by at most this much between two snapshots of an unchanged group."""
+REPLACED_M = 1.0
+"""A robot whose place turns out to be further off than this leaves its group, and comes back at its new place."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupUpdate:
+    """The groups at a snapshot.
+
+    Attributes:
+        placements: By robot, those in a group, in natural order.
+        changes: Groups that formed, met or parted, in words.
+        dropped: Joins that contradict the others, with their misfit.
+    """
+
+    placements: Mapping[str, Placement]
+    changes: tuple[str, ...]
+    dropped: Mapping[Pair, Misfit]
 
 
 class Groups:
@@ -26,19 +44,22 @@ class Groups:
         self._num_formed = 0
         self._placements: dict[str, Placement] = {}
 
-    def update(self, joins: Mapping[Pair, Join]) -> tuple[Mapping[str, Placement], tuple[str, ...]]:
-        """The placements that follow from the joins, in natural order, and what changed, in words."""
-        placements: dict[str, Placement] = {}
-        for members in _components(joins):
+    def update(self, joins: Mapping[Pair, Edge]) -> GroupUpdate:
+        """The groups that follow from the joins."""
+        goals: dict[str, Placement] = {}
+        dropped: dict[Pair, Misfit] = {}
+        for members in components(list(joins)):
             number = self._number(members)
-            reference = self._reference[number]
-            for robot, T_reference_robot in _spanning_tree(joins, members, reference).items():
-                placements[robot] = Placement(number, T_reference_robot)
-        changes = self._changes(placements)
-        if not changes:
-            placements = {robot: self._approach(robot, placement) for robot, placement in placements.items()}
+            solution = solve(
+                {pair: edge for pair, edge in joins.items() if pair[0] in members}, self._reference[number]
+            )
+            goals |= {robot: Placement(number, T) for robot, T in solution.T_reference_robot.items()}
+            dropped |= solution.dropped
+        goals = _without_singles({robot: goal for robot, goal in goals.items() if not self._is_elsewhere(robot, goal)})
+        changes = self._changes(goals)
+        placements = goals if changes else {robot: self._approach(robot, goal) for robot, goal in goals.items()}
         self._placements = {robot: placements[robot] for robot in sorted(placements, key=natural_key)}
-        return self._placements, changes
+        return GroupUpdate(self._placements, changes, dropped)
 
     def _number(self, members: tuple[str, ...]) -> int:
         owned = sorted(number for number, reference in self._reference.items() if reference in members)
@@ -54,8 +75,23 @@ class Groups:
             self._reference[number] = self._preferred
         return number
 
-    def _changes(self, placements: Mapping[str, Placement]) -> tuple[str, ...]:
-        before, after = _by_group(self._placements), _by_group(placements)
+    def _is_elsewhere(self, robot: str, goal: Placement) -> bool:
+        """Whether a robot of this group turns out to have been placed wrongly."""
+        now = self._placements.get(robot)
+        return (
+            now is not None
+            and now.group == goal.group
+            and self._frame_stayed(goal.group)
+            and now.T_group_map.distance_to(goal.T_group_map)[0] > REPLACED_M
+        )
+
+    def _frame_stayed(self, number: int) -> bool:
+        """Whether a group's frame is the one it had at the last snapshot."""
+        placement = self._placements.get(self._reference[number])
+        return placement is not None and placement.T_group_map == SE2.identity()
+
+    def _changes(self, goals: Mapping[str, Placement]) -> tuple[str, ...]:
+        before, after = _by_group(self._placements), _by_group(goals)
         changes = []
         for number in sorted(before.keys() | after.keys()):
             old, new = before.get(number, frozenset()), after.get(number, frozenset())
@@ -88,35 +124,13 @@ class Groups:
         )
 
 
+def _without_singles(goals: Mapping[str, Placement]) -> dict[str, Placement]:
+    groups = _by_group(goals)
+    return {robot: goal for robot, goal in goals.items() if len(groups[goal.group]) > 1}
+
+
 def _by_group(placements: Mapping[str, Placement]) -> dict[int, frozenset[str]]:
     groups: dict[int, set[str]] = defaultdict(set)
     for robot, placement in placements.items():
         groups[placement.group].add(robot)
     return {number: frozenset(members) for number, members in groups.items()}
-
-
-def _components(pairs: Iterable[Pair]) -> list[tuple[str, ...]]:
-    """Connected components of the joined robots, members and components in natural order."""
-    component: dict[str, set[str]] = {}
-    for a, b in pairs:
-        merged = component.get(a, {a}) | component.get(b, {b})
-        for robot in merged:
-            component[robot] = merged
-    members = {tuple(sorted(robots, key=natural_key)) for robots in component.values()}
-    return sorted(members, key=lambda robots: [natural_key(robot) for robot in robots])
-
-
-def _spanning_tree(joins: Mapping[Pair, Join], members: tuple[str, ...], reference: str) -> dict[str, SE2]:
-    """T_reference_robot of every member along the most confident joins (Prim's maximum spanning tree)."""
-    placed = {reference: SE2.identity()}
-    while len(placed) < len(members):
-        inside, outside, join = max(
-            (
-                (a, b, join) if a in placed else (b, a, Join(join.T_a_b.inverse(), join.confidence))
-                for (a, b), join in joins.items()
-                if (a in placed) != (b in placed) and a in members
-            ),
-            key=lambda edge: edge[2].confidence,
-        )
-        placed[outside] = placed[inside] @ join.T_a_b
-    return placed

@@ -1,58 +1,195 @@
-"""What is known about every pair of robots: when it was looked at last, and whether it is joined."""
+"""What is known about every pair of robots over time: looked at when, joined or not, and whether that still holds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
+from typing import NamedTuple
 
+import numpy as np
+
+from mapfusion.posegraph import Edge, Pair
 from mapfusion.result import PairFusion
-from mapfusion.steps import natural_key
-from mapfusion.timeline import NewestGrid
+from mapfusion.steps import Placement, natural_key
+from mapfusion.timeline import Snapshot
 from mapfusion.transform import SE2
 
-Pair = tuple[str, str]
+OVERWHELMING = 0.999
+"""From this confidence on a fusion joins at once; below it a second look must agree."""
+LET_GO_CONFIDENCE = 0.5
+"""A held join whose transform falls below this is contradicted. Lower than what joins: hysteresis."""
+MAX_CONTRADICTIONS = 2
+"""So many contradicted looks in a row end a join."""
+SAME_M, SAME_RAD = 0.5, np.radians(5.0)
+"""Two looks within this, at the middle of b's area, found the same transform."""
+GROWTH = 0.1
+"""A refused pair is searched again when one of its maps has changed its known area by this share."""
+DISPUTED_OVERLAP = 0.2
+"""Two maps that overlap this far where other robots place them, and do not agree there, are searched as well."""
+SETTLED_NS = 10_000_000_000
+"""A fusion that nothing confirmed or contradicted for this long, because no map changed, joins."""
 
 
-@dataclass(frozen=True, slots=True)
-class Join:
-    """An accepted fusion that holds.
+class Look(NamedTuple):
+    """What is to be done about a pair: search for a transform, or verify a known one.
 
     Attributes:
-        T_a_b: Takes points of b's map frame to a's.
-        confidence: Of the fusion it rests on, [0, 1].
+        pair: The robots, the fusion's target first.
+        T_a_b: The transform to verify, None for a search.
     """
 
-    T_a_b: SE2
-    confidence: float
+    pair: Pair
+    T_a_b: SE2 | None
 
 
+@dataclass(slots=True)
+class _PairState:
+    """What is known of one pair.
+
+    Attributes:
+        versions: Of the two grids when the pair was looked at last.
+        searched_cells: Known cells of the two grids when it was searched last.
+        candidate: An accepted fusion that waits for confirmation, and since when.
+        edge: The join, while it holds.
+        contradictions: Looks in a row that contradicted it.
+        is_disputed: Whether the place that other robots give the two does not look right between them.
+    """
+
+    versions: tuple[int, int] = (0, 0)
+    searched_cells: tuple[int, int] | None = None
+    candidate: tuple[PairFusion, int] | None = None
+    edge: Edge | None = None
+    contradictions: int = 0
+    is_disputed: bool = False
+
+
+@dataclass(slots=True)
 class Joins:
-    """Joins of all pairs over time. A refused look does not end a join: the maps were seen to agree before."""
+    """Joins of all pairs over time.
 
-    def __init__(self) -> None:
-        self._joins: dict[Pair, Join] = {}
-        self._seen: dict[Pair, tuple[int, int]] = {}
+    Attributes:
+        never: Pairs that are not looked at.
+    """
 
-    def due(self, grids: Mapping[str, NewestGrid]) -> list[Pair]:
-        """Pairs of which a map changed since they were looked at, in natural order."""
-        robots = sorted(grids, key=natural_key)
-        return [
-            (a, b) for a, b in combinations(robots, 2) if self._seen.get((a, b)) != (grids[a].version, grids[b].version)
-        ]
+    never: Collection[frozenset[str]] = ()
+    _states: dict[Pair, _PairState] = field(default_factory=dict)
 
-    def record(self, pair: Pair, grids: Mapping[str, NewestGrid], fusion: PairFusion) -> None:
-        """Takes note of a look at a pair, its first robot being the fusion's target."""
-        self._seen[pair] = (grids[pair[0]].version, grids[pair[1]].version)
-        if fusion.accepted and fusion.T_target_source is not None:
-            self._joins[pair] = Join(fusion.T_target_source, fusion.confidence)
+    def due(self, snapshot: Snapshot, placements: Mapping[str, Placement]) -> list[Look]:
+        """The pairs that are to be looked at, in natural order.
+
+        A pair is looked at when a map of it changed: a joined one is verified, as is one whose robots are tied over
+        others; any other is searched, but after a refusal only when enough has changed or at the last snapshot.
+        """
+        looks = []
+        for pair in combinations(sorted(snapshot.grids, key=natural_key), 2):
+            state = self._states.setdefault(pair, _PairState())
+            if frozenset(pair) in self.never or state.versions == _versions(pair, snapshot):
+                continue
+            T_a_b = state.edge.T_a_b if state.edge is not None else _predicted(pair, placements)
+            if T_a_b is not None and not (state.is_disputed and _has_grown(state, pair, snapshot)):
+                looks.append(Look(pair, T_a_b))
+            elif snapshot.is_last or state.candidate is not None or _has_grown(state, pair, snapshot):
+                looks.append(Look(pair, None))
+        return looks
+
+    def record(self, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
+        """Takes note of a look; returns what came of it in words, where a join began or ended."""
+        state = self._states[look.pair]
+        state.versions = _versions(look.pair, snapshot)
+        if state.edge is not None:
+            return self._follow(state, look.pair, fusion, snapshot)
+        if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
+            state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
+            state.is_disputed = not fusion.accepted and fusion.overlap_ratio >= DISPUTED_OVERLAP
+            return ""
+        state.searched_cells = _known_cells(look.pair, snapshot)
+        return self._consider(state, look.pair, fusion, snapshot)
+
+    def settle(self, snapshot: Snapshot) -> list[str]:
+        """Joins the candidates that nothing will confirm: their maps stay as they are, or the mission ends."""
+        changes = []
+        for pair, state in self._states.items():
+            if state.candidate is None:
+                continue
+            fusion, since_ns = state.candidate
+            if snapshot.is_last or snapshot.stamp_ns - since_ns >= SETTLED_NS:
+                changes.append(self._join(state, pair, fusion, snapshot))
+        return changes
 
     @property
-    def held(self) -> Mapping[Pair, Join]:
-        """The joins that hold, by pair."""
-        return self._joins
+    def held(self) -> dict[Pair, Edge]:
+        """The joins that hold, in natural order."""
+        order = sorted(self._states, key=lambda pair: (natural_key(pair[0]), natural_key(pair[1])))
+        return {pair: edge for pair in order if (edge := self._states[pair].edge) is not None}
 
-    def guess(self, pair: Pair) -> SE2 | None:
-        """T_a_b from an earlier snapshot."""
-        join = self._joins.get(pair)
-        return None if join is None else join.T_a_b
+    def drop(self, pair: Pair) -> None:
+        """Ends a join, so that the pair is searched anew."""
+        self._states[pair] = _PairState(versions=self._states[pair].versions)
+
+    def _consider(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
+        if not fusion.accepted:
+            state.candidate = None
+        elif fusion.confidence >= OVERWHELMING or _confirms(state, pair, fusion, snapshot):
+            return self._join(state, pair, fusion, snapshot)
+        else:
+            state.candidate = (fusion, snapshot.stamp_ns)
+        return ""
+
+    def _join(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
+        state.candidate, state.contradictions = None, 0
+        state.edge = _edge(pair, fusion, snapshot)
+        return f"{pair[0]} and {pair[1]} join"
+
+    def _follow(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
+        if fusion.accepted:
+            state.edge, state.contradictions = _edge(pair, fusion, snapshot), 0
+        elif fusion.confidence >= LET_GO_CONFIDENCE:
+            state.contradictions = 0
+        else:
+            state.contradictions += 1
+            if state.contradictions >= MAX_CONTRADICTIONS:
+                self.drop(pair)
+                return f"{pair[0]} and {pair[1]} part: {fusion.reason}"
+        return ""
+
+
+def _confirms(state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> bool:
+    """Whether a fusion found what the waiting candidate found."""
+    if state.candidate is None:
+        return False
+    one, other = state.candidate[0].T_target_source, fusion.T_target_source
+    if one is None or other is None:
+        return False
+    middle = snapshot.grids[pair[1]].middle_m
+    apart_m = float(np.hypot(*(one.apply(middle) - other.apply(middle))))
+    return apart_m <= SAME_M and one.distance_to(other)[1] <= SAME_RAD
+
+
+def _edge(pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> Edge:
+    if fusion.T_target_source is None:
+        raise ValueError("an accepted fusion needs a transform")
+    return Edge(fusion.T_target_source, fusion.confidence, fusion.covariance, snapshot.grids[pair[1]].middle_m)
+
+
+def _predicted(pair: Pair, placements: Mapping[str, Placement]) -> SE2 | None:
+    """T_a_b of two robots of one group."""
+    a, b = (placements.get(robot) for robot in pair)
+    if a is None or b is None or a.group != b.group:
+        return None
+    return a.T_group_map.inverse() @ b.T_group_map
+
+
+def _has_grown(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
+    if state.searched_cells is None:
+        return True
+    now = _known_cells(pair, snapshot)
+    return any(abs(n - before) > GROWTH * before for n, before in zip(now, state.searched_cells, strict=True))
+
+
+def _versions(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
+    return snapshot.grids[pair[0]].version, snapshot.grids[pair[1]].version
+
+
+def _known_cells(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
+    return snapshot.grids[pair[0]].num_known, snapshot.grids[pair[1]].num_known

@@ -12,8 +12,10 @@ from mapfusion.config import ReplayConfig
 from mapfusion.fusion import PairFuser
 from mapfusion.grid import OccupancyGrid
 from mapfusion.groups import Groups
-from mapfusion.joins import Joins, Pair
+from mapfusion.joins import Joins, Look
 from mapfusion.merge import merge_grids
+from mapfusion.posegraph import Misfit, Pair, separated
+from mapfusion.priors import Priors, checked
 from mapfusion.result import PairFusion
 from mapfusion.steps import Event, FusionStep, PairReport, Path, Placement, PoseSource
 from mapfusion.timeline import Snapshot, snapshots
@@ -35,11 +37,18 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
         ValueError: Events out of order.
     """
     config = config or ReplayConfig()
-    fuser, joins, groups, maps = PairFuser(config.fusion), Joins(), Groups(config.reference), _MergedMaps(config)
+    fuser, joins, groups = PairFuser(config.fusion), Joins(config.never), Groups(config.reference)
+    priors, maps = Priors(config.priors, config.reference), _MergedMaps(config)
+    placements: Mapping[str, Placement] = {}
     with _concurrent_map(config.jobs) as each:
         for snapshot in snapshots(events, config):
-            fusions = _fuse_due_pairs(snapshot, joins, fuser, config, each)
-            placements, changes = groups.update(joins.held)
+            fusions, pair_changes = _look_at_pairs(snapshot, placements, joins, fuser, priors, config, each)
+            ties = priors.fixed_edges(snapshot.grids) if config.priors else {}
+            update = groups.update(separated(joins.held | ties, config.never))
+            placements = update.placements
+            contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]
+            for pair in update.dropped:
+                joins.drop(pair)
             if config.final_only and not snapshot.is_last:
                 continue
             yield FusionStep(
@@ -49,13 +58,13 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
                 poses=_poses(snapshot, placements),
                 pairs=tuple(_report(pair, fusion, snapshot, placements) for pair, fusion in fusions.items()),
                 maps=maps.due(snapshot, placements),
-                changes=changes,
+                changes=(*pair_changes, *contradicted, *update.changes),
                 paths=_paths(snapshot, placements) if snapshot.is_last else {},
                 map_frames={robot: event.map_frame for robot, event in snapshot.robots.items()},
             )
 
 
-_Map = Callable[[Callable[[Pair], PairFusion], Iterable[Pair]], Iterable[PairFusion]]
+_Map = Callable[[Callable[[Look], PairFusion], Iterable[Look]], Iterable[PairFusion]]
 
 
 @contextmanager
@@ -68,22 +77,42 @@ def _concurrent_map(jobs: int) -> Iterator[_Map]:
             yield executor.map
 
 
-def _fuse_due_pairs(
-    snapshot: Snapshot, joins: Joins, fuser: PairFuser, config: ReplayConfig, each: _Map
-) -> dict[Pair, PairFusion]:
-    """Looks at every pair of which a map changed, and takes note in `joins`."""
-    pairs = joins.due(snapshot.grids)
+def _look_at_pairs(
+    snapshot: Snapshot,
+    placements: Mapping[str, Placement],
+    joins: Joins,
+    fuser: PairFuser,
+    priors: Priors,
+    config: ReplayConfig,
+    each: _Map,
+) -> tuple[dict[Pair, PairFusion], list[str]]:
+    """Verifies or searches every pair that is due, and takes note in `joins`; says which joins began or ended."""
+    looks = joins.due(snapshot, placements)
     fuser.forget_all_but(newest.grid for newest in snapshot.grids.values())
 
-    def look(pair: Pair) -> PairFusion:
-        a, b = (snapshot.grids[robot] for robot in pair)
-        too_old = None if pair in joins.held else _too_old(pair, snapshot, config)
-        return too_old or fuser.fuse(a.grid, b.grid, joins.guess(pair))
+    def take(look: Look) -> PairFusion:
+        a, b = (snapshot.grids[robot].grid for robot in look.pair)
+        if look.T_a_b is not None:
+            return fuser.verify(a, b, look.T_a_b)
+        too_old = _too_old(look.pair, snapshot, config)
+        if too_old is not None:
+            return too_old
+        prior = priors.of_pair(look.pair, snapshot.robots)
+        if prior is None:
+            return fuser.fuse(a, b)
+        near = checked(fuser.verify(a, b, prior.T_a_b), prior)
+        return near if near.accepted else checked(fuser.fuse(a, b), prior)
 
-    fusions = dict(zip(pairs, each(look, pairs), strict=True))
-    for pair, fusion in fusions.items():
-        joins.record(pair, snapshot.grids, fusion)
-    return fusions
+    fusions = {look.pair: fusion for look, fusion in zip(looks, each(take, looks), strict=True)}
+    changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks] + joins.settle(snapshot)
+    return fusions, [change for change in changes if change]
+
+
+def _contradicted(pair: Pair, misfit: Misfit) -> str:
+    return (
+        f"{pair[0]} and {pair[1]} part: what joins the other robots places them {misfit.distance_m:.2f} m and "
+        f"{np.degrees(misfit.angle_rad):.1f} degrees differently"
+    )
 
 
 def _too_old(pair: Pair, snapshot: Snapshot, config: ReplayConfig) -> PairFusion | None:

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.grid import Mask
 from mapfusion.steps import StampArray
 from mapfusion.transform import FloatArray
+
+
+_Link = tuple[str, str]
+MAX_DEPTH = 64
+"""Longest way up from a frame that is followed; real trees are less than 20 deep."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +104,47 @@ class TransformBuffer:
                 samples.stamps_ns.extend(stamp_ns + shift_ns for stamp_ns in heard.stamps_ns)
                 samples.values.extend(heard.values)
 
+    def keep(self, holds: Callable[[StampArray], Mask]) -> int:
+        """Drops the samples of moving edges whose stamps (N,) do not hold, and tells how many those were."""
+        num_dropped = 0
+        for child, parents in list(self._samples.items()):
+            for parent, samples in list(parents.items()):
+                if samples.is_static:
+                    continue
+                kept = holds(np.array(samples.stamps_ns, np.int64))
+                if kept.all():
+                    continue
+                num_dropped += int(kept.size - kept.sum())
+                if kept.any():
+                    values = np.array(samples.values).reshape(-1, 7)[kept]
+                    stamps = np.array(samples.stamps_ns, np.int64)[kept]
+                    parents[parent] = _Samples(array("q", stamps.tolist()), array("d", values.ravel().tolist()))
+                else:
+                    del parents[parent]
+            if not parents:
+                del self._samples[child]
+        return num_dropped
+
+    @property
+    def range_ns(self) -> tuple[int, int] | None:
+        """First and last stamp of all moving edges, None where there is none."""
+        moving = [
+            np.array(samples.stamps_ns, np.int64)
+            for parents in self._samples.values()
+            for samples in parents.values()
+            if not samples.is_static
+        ]
+        return (int(min(map(np.min, moving))), int(max(map(np.max, moving)))) if moving else None
+
+    @property
+    def num_edges(self) -> int:
+        """Number of pairs of parent and child."""
+        return sum(map(len, self._samples.values()))
+
+    def has_edge(self, parent: str, child: str) -> bool:
+        """Whether there is a sample of `T_parent_child`."""
+        return child in self._samples and parent in self._samples[child]
+
     @property
     def frames(self) -> frozenset[str]:
         """Every frame that was named."""
@@ -110,28 +157,35 @@ class TransformBuffer:
 
     def chain(self, target: str, source: str) -> TransformChain | None:
         """The way from `source` up to a common ancestor and down to `target`, or None where they are not connected."""
-        if target == source:
-            return TransformChain((), ())
-        up_target, up_source = self._ancestors(target), self._ancestors(source)
-        common = [frame for frame in up_source if frame in up_target]
+        ways = self._ways(target, source)
+        if ways is None:
+            return None
+        return TransformChain(*(tuple(self._edge(parent, child) for parent, child in way) for way in ways))
+
+    def are_connected(self, target: str, source: str) -> bool:
+        """Whether there is a chain between two frames."""
+        return self._ways(target, source) is not None
+
+    def _ways(self, target: str, source: str) -> tuple[list[_Link], list[_Link]] | None:
+        """(parent, child) links from the target and from the source up to where they meet."""
+        from_target, from_source = self._ancestors(target), self._ancestors(source)
+        common = [frame for frame in from_source if frame in from_target]
         if not common:
             return None
-        meeting = min(common, key=lambda frame: len(up_source[frame]) + len(up_target[frame]))
-        return TransformChain(
-            tuple(self._edge(*edge) for edge in up_target[meeting]),
-            tuple(self._edge(*edge) for edge in up_source[meeting]),
-        )
+        meeting = min(common, key=lambda frame: from_source[frame][0] + from_target[frame][0])
+        return _way_up(from_target, meeting), _way_up(from_source, meeting)
 
-    def _ancestors(self, frame: str) -> dict[str, tuple[tuple[str, str], ...]]:
-        """Every frame above `frame` (itself included) with the (parent, child) edges that lead up to it."""
-        ways: dict[str, tuple[tuple[str, str], ...]] = {frame: ()}
+    def _ancestors(self, frame: str) -> dict[str, tuple[int, str]]:
+        """Every frame above `frame` (itself included): how far up it is, and the frame below it on the way there."""
+        found = {frame: (0, "")}
         queue = [frame]
         for child in queue:  # breadth first; the queue grows while it is walked
-            for parent in self.parents(child):
-                if parent not in ways:
-                    ways[parent] = (*ways[child], (parent, child))
+            depth = found[child][0] + 1
+            for parent in self.parents(child) if depth <= MAX_DEPTH else ():
+                if parent not in found:
+                    found[parent] = (depth, child)
                     queue.append(parent)
-        return ways
+        return found
 
     def _edge(self, parent: str, child: str) -> Edge:
         samples = self._samples[child][parent]
@@ -180,6 +234,16 @@ class TransformChain:
         x, y, z, w = _multiply(q_inverse, q_up).T
         yaw = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
         return np.stack([t[:, 0], t[:, 1], yaw], axis=1)
+
+
+def _way_up(ancestors: Mapping[str, tuple[int, str]], top: str) -> list[_Link]:
+    """The (parent, child) links from the frame at the bottom up to `top`, the lowest first."""
+    links: list[_Link] = []
+    while ancestors[top][0]:
+        below = ancestors[top][1]
+        links.append((top, below))
+        top = below
+    return links[::-1]
 
 
 def _compose(edges: tuple[Edge, ...], stamps_ns: StampArray) -> tuple[FloatArray, FloatArray]:

@@ -17,29 +17,44 @@ from mapfusion.transform import SE2
 __all__ = ["PreparedMap", "fuse", "prepare"]
 
 
-def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, guess: SE2 | None = None) -> PairFusion:
+def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig) -> PairFusion:
     """Looks for the transform between two prepared maps, and judges it.
 
     Args:
         target: Map into whose frame the source is to be brought.
         source: The other map, prepared at the same resolution.
         config: Thresholds.
-        guess: T_target_source known from before: verified first, and searched for only when it does not hold.
 
     Returns:
         The verdict with its evidence. Exchanging the maps gives the inverse: the work is done in one order, by content.
     """
     if target.key > source.key:
-        return fuse(source, target, config, None if guess is None else guess.inverse()).swapped()
+        return fuse(source, target, config).swapped()
     refusal = verdict.too_little(target, source)
     if refusal is not None:
         return refusal
-    if guess is not None:
-        known = _judged(target, source, config, recheck(target, source, _to_cells(target, source, guess)))
-        if known.accepted:
-            return known
     matches = match(target.features, source.features)
     return _judged(target, source, config, examine(target, source, propose(target, source, matches), matches))
+
+
+def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, config: FusionConfig) -> PairFusion:
+    """Refines and judges a transform that is known from before, without looking for another one.
+
+    Args:
+        target: Map into whose frame the source is to be brought.
+        source: The other map, prepared at the same resolution.
+        T_target_source: The transform.
+        config: Thresholds.
+
+    Returns:
+        The verdict on the refined transform; nothing is said about rivals.
+    """
+    if target.key > source.key:
+        return verify(source, target, T_target_source.inverse(), config).swapped()
+    refusal = verdict.too_little(target, source)
+    if refusal is not None:
+        return refusal
+    return _judged(target, source, config, recheck(target, source, _to_cells(target, source, T_target_source)))
 
 
 def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, finding: Finding) -> PairFusion:

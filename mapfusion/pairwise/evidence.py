@@ -150,7 +150,7 @@ def against_chance(n: Figures, agreeing: Figures, chance: Figures) -> Figures:
     p = np.clip(chance, 0.5 / n, 1.0 - 1e-3)
     r = np.clip(agreeing / n, 1e-9, 1.0 - 1e-9)
     divergence = r * np.log(r / p) + (1.0 - r) * np.log((1.0 - r) / (1.0 - p))
-    evidence: Figures = np.where(r > p, n * divergence, 0.0) / DEPENDENT_CELLS
+    evidence: Figures = np.where(r > p, n * np.maximum(divergence, 0.0), 0.0) / DEPENDENT_CELLS
     return evidence
 
 

@@ -13,6 +13,7 @@ and the configuration's seed has no part in it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -23,7 +24,7 @@ import numpy.typing as npt
 
 from mapfusion.config import FusionConfig
 from mapfusion.grid import OccupancyGrid, resample
-from mapfusion.pairwise.agreement import GOOD_BELOW, agreement, mae_band
+from mapfusion.pairwise.agreement import GOOD_BELOW, Agreement, agreement, mae_band
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2, FloatArray
 
@@ -128,10 +129,29 @@ def fuse(target: PaperMap, source: PaperMap, config: FusionConfig) -> PairFusion
             **_published_verdict(target.image, source.image, similarity.matrix),
         },
     )
-    if common.mae is None:
-        reason = f"no cell is known in both maps under the transform of {len(inliers)} inliers"
-        return finding(accepted=False, gate="no overlap", reason=reason)
+    return _judged(finding, common, config)
 
+
+def verify(target: PaperMap, source: PaperMap, T_target_source: SE2, config: FusionConfig) -> PairFusion:
+    """Judges a transform that is known from before by the error it has now; it stays as it is."""
+    common = agreement(target.grid, source.grid, T_target_source)
+    finding = partial(
+        PairFusion,
+        num_keypoints_target=len(target.points_px),
+        num_keypoints_source=len(source.points_px),
+        resolution_m=target.grid.resolution_m,
+        T_target_source=T_target_source,
+        mae=common.mae,
+        overlap_cells=common.overlap_cells,
+        overlap_ratio=common.overlap_ratio,
+    )
+    return _judged(finding, common, config)
+
+
+def _judged(finding: Callable[..., PairFusion], common: Agreement, config: FusionConfig) -> PairFusion:
+    """The verdict by the error over the cells known in both, in the paper's three bands."""
+    if common.mae is None:
+        return finding(accepted=False, gate="no overlap", reason="no cell is known in both maps under this transform")
     threshold = GOOD_BELOW if config.mae_threshold is None else config.mae_threshold
     finding = partial(finding, confidence=max(0.0, 1.0 - common.mae / (2.0 * threshold)))
     if common.mae >= threshold:

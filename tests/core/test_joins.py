@@ -1,38 +1,141 @@
-from mapfusion.joins import Joins
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pytest
+
+from mapfusion.joins import OVERWHELMING, SETTLED_NS, Joins, Look
 from mapfusion.result import PairFusion
-from mapfusion.timeline import NewestGrid
+from mapfusion.steps import Placement
+from mapfusion.timeline import NewestGrid, Snapshot
 from mapfusion.transform import SE2
-from tests.fakes import flat, grid_of
+from tests.fakes import SECOND_NS, flat, grid_of
 
-GRID = grid_of(flat(2, 2, 0))
-ACCEPTED = PairFusion(accepted=True, T_target_source=SE2(1.0, 2.0, 0.3), confidence=0.9)
-REFUSED = PairFusion(accepted=False, reason="no overlap", gate="no overlap")
+T = SE2(1.0, 2.0, 0.3)
+ACCEPTED = PairFusion(accepted=True, T_target_source=T, confidence=0.95)
+CERTAIN = replace(ACCEPTED, confidence=OVERWHELMING)
+REFUSED = PairFusion(accepted=False, reason="walls disagree", gate="confidence", T_target_source=T, confidence=0.1)
+DOUBTFUL = replace(REFUSED, confidence=0.6)
+AB = ("a", "b")
 
 
-def newest(**versions: int) -> dict[str, NewestGrid]:
-    return {robot: NewestGrid(0, version, GRID) for robot, version in versions.items()}
+def snapshot(second: float = 0.0, is_last: bool = False, known: int = 10, **versions: int) -> Snapshot:
+    """Every robot's map has `known` known columns of ten cells."""
+    cells = flat(10, 100)
+    cells[:, :known] = 0
+    grids = {robot: NewestGrid.of(0, version, grid_of(cells)) for robot, version in versions.items()}
+    return Snapshot(round(second * SECOND_NS), is_last, {}, grids)
 
 
-def test_a_pair_is_due_until_it_was_looked_at_and_again_when_a_map_changed() -> None:
+def look(
+    joins: Joins, at: Snapshot, *fusions: PairFusion, placements: Mapping[str, Placement] | None = None
+) -> list[str]:
+    looks = joins.due(at, placements or {})
+    assert len(looks) == len(fusions)
+    return [joins.record(one, fusion, at) for one, fusion in zip(looks, fusions, strict=True)] + joins.settle(at)
+
+
+def test_pairs_are_looked_at_in_natural_order_and_only_when_a_map_changed() -> None:
     joins = Joins()
-    grids = newest(r1=1, r10=1, r2=1)
-    assert joins.due(grids) == [("r1", "r2"), ("r1", "r10"), ("r2", "r10")]
-    for pair in joins.due(grids):
-        joins.record(pair, grids, REFUSED)
-    assert joins.due(grids) == []
-    assert joins.due(newest(r1=1, r10=2, r2=1)) == [("r1", "r10"), ("r2", "r10")]
+    first = snapshot(r1=1, r10=1, r2=1)
+    assert [one.pair for one in joins.due(first, {})] == [("r1", "r2"), ("r1", "r10"), ("r2", "r10")]
+    look(joins, first, REFUSED, REFUSED, REFUSED)
+    assert joins.due(first, {}) == []
 
 
-def test_a_join_outlasts_a_refused_look() -> None:
-    joins, grids = Joins(), newest(a=1, b=1)
-    joins.record(("a", "b"), grids, ACCEPTED)
-    joins.record(("a", "b"), newest(a=2, b=1), REFUSED)
-    assert joins.guess(("a", "b")) == SE2(1.0, 2.0, 0.3)
-    assert list(joins.held) == [("a", "b")]
-
-
-def test_a_refused_pair_has_no_guess() -> None:
+def test_a_refused_pair_is_searched_again_when_enough_has_changed_or_at_the_end() -> None:
     joins = Joins()
-    joins.record(("a", "b"), newest(a=1, b=1), REFUSED)
-    assert joins.guess(("a", "b")) is None
+    look(joins, snapshot(a=1, b=1, known=50), REFUSED)
+    assert joins.due(snapshot(a=2, b=1, known=53), {}) == []
+    assert joins.due(snapshot(a=3, b=1, known=56), {}) == [Look(AB, None)]
+    assert joins.due(snapshot(a=3, b=1, known=44), {}) == [Look(AB, None)]
+    assert joins.due(snapshot(a=2, b=1, known=51, is_last=True), {}) == [Look(AB, None)]
+
+
+def test_a_join_needs_a_second_look_that_agrees() -> None:
+    joins = Joins()
+    assert look(joins, snapshot(a=1, b=1), ACCEPTED) == [""]
     assert not joins.held
+    assert look(joins, snapshot(a=2, b=1), ACCEPTED) == ["a and b join"]
+    assert joins.held[AB].T_a_b == T
+
+
+def test_two_looks_that_found_different_transforms_confirm_nothing() -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1), ACCEPTED)
+    look(joins, snapshot(a=2, b=1), replace(ACCEPTED, T_target_source=SE2(9.0, 2.0, 0.3)))
+    assert not joins.held
+    look(joins, snapshot(a=3, b=1), replace(ACCEPTED, T_target_source=SE2(9.1, 2.0, 0.3)))
+    assert joins.held[AB].T_a_b == SE2(9.1, 2.0, 0.3)
+
+
+def test_overwhelming_confidence_joins_at_once() -> None:
+    joins = Joins()
+    assert look(joins, snapshot(a=1, b=1), CERTAIN) == ["a and b join"]
+
+
+@pytest.mark.parametrize("how", ["last", "settled"])
+def test_a_candidate_joins_when_nothing_more_can_confirm_it(how: str) -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1), ACCEPTED)
+    assert look(joins, snapshot(second=5.0, a=1, b=1)) == []
+    later = snapshot(second=SETTLED_NS / SECOND_NS, is_last=how == "last", a=1, b=1)
+    assert look(joins, later) == ["a and b join"]
+
+
+def test_a_refusal_takes_the_candidate_back() -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1), ACCEPTED)
+    look(joins, snapshot(a=2, b=1), REFUSED)
+    assert look(joins, snapshot(second=20.0, a=2, b=1)) == []
+    assert not joins.held
+
+
+def joined() -> Joins:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1), CERTAIN)
+    return joins
+
+
+def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
+    joins = joined()
+    at = snapshot(a=2, b=1)
+    assert joins.due(at, {}) == [Look(AB, T)]
+    look(joins, at, replace(ACCEPTED, T_target_source=SE2(1.1, 2.0, 0.3)))
+    assert joins.held[AB].T_a_b == SE2(1.1, 2.0, 0.3)
+
+
+def test_a_join_outlasts_doubt_and_a_single_contradiction() -> None:
+    joins = joined()
+    for version, fusion in enumerate([DOUBTFUL, DOUBTFUL, REFUSED, DOUBTFUL, REFUSED], start=2):
+        assert look(joins, snapshot(a=version, b=1), fusion) == [""]
+    assert AB in joins.held
+
+
+def test_contradictions_in_a_row_end_a_join_and_say_why() -> None:
+    joins = joined()
+    assert look(joins, snapshot(a=2, b=1), REFUSED) == [""]
+    assert look(joins, snapshot(a=3, b=1), REFUSED) == ["a and b part: walls disagree"]
+    assert not joins.held
+    assert joins.due(snapshot(a=4, b=1), {}) == [Look(AB, None)]
+
+
+def test_robots_tied_over_others_are_verified_where_those_place_them() -> None:
+    joins = Joins()
+    placements = {"a": Placement(1, SE2.identity()), "b": Placement(1, T)}
+    at = snapshot(a=1, b=1)
+    assert joins.due(at, placements) == [Look(AB, T)]
+    assert joins.due(at, {"a": Placement(1, T), "b": Placement(2, T)}) == [Look(AB, None)]
+    look(joins, at, ACCEPTED, placements=placements)
+    assert AB in joins.held
+
+
+def test_a_place_given_by_others_that_does_not_look_right_is_searched_as_well() -> None:
+    joins = Joins()
+    placements = {"a": Placement(1, SE2.identity()), "b": Placement(1, T)}
+    look(joins, snapshot(a=1, b=1), replace(REFUSED, overlap_ratio=0.5), placements=placements)
+    assert joins.due(snapshot(a=2, b=1), placements) == [Look(AB, None)]
+
+
+def test_pairs_that_must_not_join_are_not_looked_at() -> None:
+    joins = Joins(never=[frozenset(AB)])
+    assert [one.pair for one in joins.due(snapshot(a=1, b=1, c=1), {})] == [("a", "c"), ("b", "c")]

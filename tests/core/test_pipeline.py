@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapfusion.config import FusionConfig, ReplayConfig
+from mapfusion.config import FusionConfig, Prior, ReplayConfig
 from mapfusion.pipeline import replay
 from mapfusion.steps import Event, FusionStep
 from mapfusion.transform import SE2
@@ -36,18 +36,19 @@ def steps() -> list[FusionStep]:
 
 def test_robots_are_placed_when_their_maps_join(steps: list[FusionStep]) -> None:
     assert [step.stamp_ns // SECOND_NS for step in steps] == [0, 1, 2, 3, 4, 5, 6]
-    assert [sorted(step.placements) for step in steps] == [[], [], *[["a", "b"]] * 5]
+    assert [sorted(step.placements) for step in steps] == [[], [], [], [], *[["a", "b"]] * 3]
     distance_m, angle_rad = steps[-1].placements["b"].T_group_map.distance_to(T_A_B)
     assert distance_m < 0.2
     assert angle_rad < 0.02
-    assert [step.changes for step in steps if step.changes] == [("group 1 formed: a, b",)]
+    assert [step.changes for step in steps if step.changes] == [("a and b join", "group 1 formed: a, b")]
 
 
 def test_pairs_are_looked_at_only_when_a_map_changed(steps: list[FusionStep]) -> None:
     looked = [[(report.a, report.b) for report in step.pairs] for step in steps]
-    assert looked == [[], [("a", "c")], [("a", "b"), ("b", "c")], [], [("a", "b"), ("a", "c")], [], []]
-    report = steps[2].pairs[0]
-    assert (report.age_a_s, report.age_b_s, report.placed) == (1.0, 0.0, True)
+    assert looked == [[], [("a", "c")], [("a", "b"), ("b", "c")], [], [("a", "b")], [], [("a", "c")]]
+    found, confirmed = steps[2].pairs[0], steps[4].pairs[0]
+    assert (found.age_a_s, found.age_b_s, found.placed) == (1.0, 0.0, False)
+    assert (confirmed.age_a_s, confirmed.age_b_s, confirmed.placed) == (0.0, 2.0, True)
 
 
 def test_poses_and_paths_are_in_the_groups_frame(steps: list[FusionStep]) -> None:
@@ -64,9 +65,10 @@ def test_poses_and_paths_are_in_the_groups_frame(steps: list[FusionStep]) -> Non
 
 
 def test_maps_come_when_they_changed_at_most_every_interval_and_at_the_end(steps: list[FusionStep]) -> None:
-    assert [step.stamp_ns // SECOND_NS for step in steps if step.maps] == [2, 6]
-    often = list(replay(mission(), replace(PAPER, map_interval_s=0.0)))
-    assert [step.stamp_ns // SECOND_NS for step in often if step.maps] == [2, 4, 6]
+    assert [step.stamp_ns // SECOND_NS for step in steps if step.maps] == [4, 6]
+    growing = [*mission(), grid_event("b", 5.0, MAP_B)]
+    often = list(replay(growing, replace(PAPER, map_interval_s=0.0)))
+    assert [step.stamp_ns // SECOND_NS for step in often if step.maps] == [4, 5, 6]
 
 
 def test_final_only_gives_the_same_last_step(steps: list[FusionStep]) -> None:
@@ -92,3 +94,24 @@ def test_an_old_map_starts_no_join() -> None:
     assert not late[-1].placements
     assert late[-1].pairs[0].fusion.gate == "old map"
     assert list(replay(events, PAPER))[-1].placements
+
+
+def test_a_map_replaced_by_another_places_parts_the_robots() -> None:
+    other = [seen_from(rooms(seed=seed), T_PLACE_A, (260, 260)) for seed in (5, 6, 7)]
+    events = [*mission(), *(grid_event("a", 10.0 + i, grid) for i, grid in enumerate(other))]
+    steps = list(replay(events))
+    assert steps[6].placements
+    assert not steps[-1].placements
+    assert any("a and b part" in change for step in steps for change in step.changes)
+
+
+def test_a_known_start_ties_robots_without_any_overlap() -> None:
+    start = Prior(SE2(3.0, 4.0, 0.5))
+    (last,) = replay(mission(), replace(PAPER, priors={"c": start}, final_only=True))
+    assert last.placements["c"].T_group_map == SE2(3.0, 4.0, 0.5)
+    assert set(last.placements) == {"a", "b", "c"}
+
+
+def test_a_pair_that_must_not_join_does_not() -> None:
+    (last,) = replay(mission(), replace(PAPER, never=frozenset({frozenset({"a", "b"})}), final_only=True))
+    assert not last.placements
