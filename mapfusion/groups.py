@@ -43,23 +43,30 @@ class Groups:
         self._reference: dict[int, str] = {}
         self._num_formed = 0
         self._placements: dict[str, Placement] = {}
+        self._solved: tuple[dict[Pair, Edge], dict[str, Placement], dict[Pair, Misfit]] | None = None
 
     def update(self, joins: Mapping[Pair, Edge]) -> GroupUpdate:
         """The groups that follow from the joins."""
-        goals: dict[str, Placement] = {}
-        dropped: dict[Pair, Misfit] = {}
-        for members in components(list(joins)):
-            number = self._number(members)
-            solution = solve(
-                {pair: edge for pair, edge in joins.items() if pair[0] in members}, self._reference[number]
-            )
-            goals |= {robot: Placement(number, T) for robot, T in solution.T_reference_robot.items()}
-            dropped |= solution.dropped
+        if self._solved is None or self._solved[0] != joins:
+            self._solved = (dict(joins), *self._solve(joins))
+        _, goals, dropped = self._solved
         goals = _without_singles({robot: goal for robot, goal in goals.items() if not self._is_elsewhere(robot, goal)})
         changes = self._changes(goals)
         placements = goals if changes else {robot: self._approach(robot, goal) for robot, goal in goals.items()}
         self._placements = {robot: placements[robot] for robot in sorted(placements, key=natural_key)}
         return GroupUpdate(self._placements, changes, dropped)
+
+    def _solve(self, joins: Mapping[Pair, Edge]) -> tuple[dict[str, Placement], dict[Pair, Misfit]]:
+        """Where the joins place every robot, and the joins that contradict the others."""
+        goals: dict[str, Placement] = {}
+        dropped: dict[Pair, Misfit] = {}
+        for members in components(list(joins)):
+            number = self._number(members)
+            mine = {pair: edge for pair, edge in joins.items() if pair[0] in members}
+            solution = solve(mine, self._reference[number])
+            goals |= {robot: Placement(number, T) for robot, T in solution.T_reference_robot.items()}
+            dropped |= solution.dropped
+        return goals, dropped
 
     def _number(self, members: tuple[str, ...]) -> int:
         owned = sorted(number for number, reference in self._reference.items() if reference in members)

@@ -27,6 +27,9 @@ GROWTH = 0.1
 """A refused pair is searched again when one of its maps has changed its known area by this share."""
 DISPUTED_OVERLAP = 0.2
 """Two maps that overlap this far where other robots place them, and do not agree there, are searched as well."""
+FOLLOW_GROWTH = 0.02
+FOLLOW_NS = 10_000_000_000
+"""A join is verified anew when a map has changed its known area by this share, at the latest after this time."""
 SETTLED_NS = 10_000_000_000
 """A fusion that nothing confirmed or contradicted for this long, because no map changed, joins."""
 
@@ -49,6 +52,8 @@ class _PairState:
 
     Attributes:
         versions: Of the two grids when the pair was looked at last.
+        looked_ns: When that was.
+        looked_cells: Known cells of the two grids then.
         searched_cells: Known cells of the two grids when it was searched last.
         candidate: An accepted fusion that waits for confirmation, and since when.
         edge: The join, while it holds.
@@ -57,6 +62,8 @@ class _PairState:
     """
 
     versions: tuple[int, int] = (0, 0)
+    looked_ns: int = 0
+    looked_cells: tuple[int, int] = (0, 0)
     searched_cells: tuple[int, int] | None = None
     candidate: tuple[PairFusion, int] | None = None
     edge: Edge | None = None
@@ -78,8 +85,8 @@ class Joins:
     def due(self, snapshot: Snapshot, placements: Mapping[str, Placement]) -> list[Look]:
         """The pairs that are to be looked at, in natural order.
 
-        A pair is looked at when a map of it changed: a joined one is verified, as is one whose robots are tied over
-        others; any other is searched, but after a refusal only when enough has changed or at the last snapshot.
+        A pair is looked at when enough of a map of it changed: a joined one is verified, as is one whose robots are
+        tied over others; any other is searched. The last snapshot looks at every pair of which anything changed.
         """
         looks = []
         for pair in combinations(sorted(snapshot.grids, key=natural_key), 2):
@@ -87,23 +94,27 @@ class Joins:
             if frozenset(pair) in self.never or state.versions == _versions(pair, snapshot):
                 continue
             T_a_b = state.edge.T_a_b if state.edge is not None else _predicted(pair, placements)
-            if T_a_b is not None and not (state.is_disputed and _has_grown(state, pair, snapshot)):
-                looks.append(Look(pair, T_a_b))
-            elif snapshot.is_last or state.candidate is not None or _has_grown(state, pair, snapshot):
+            has_grown = state.searched_cells is None or _changed(state.searched_cells, pair, snapshot) > GROWTH
+            if T_a_b is not None and not (state.is_disputed and has_grown):
+                waited = snapshot.stamp_ns - state.looked_ns >= FOLLOW_NS or state.contradictions > 0
+                if snapshot.is_last or waited or _changed(state.looked_cells, pair, snapshot) > FOLLOW_GROWTH:
+                    looks.append(Look(pair, T_a_b))
+            elif snapshot.is_last or state.candidate is not None or has_grown:
                 looks.append(Look(pair, None))
         return looks
 
     def record(self, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
         """Takes note of a look; returns what came of it in words, where a join began or ended."""
         state = self._states[look.pair]
-        state.versions = _versions(look.pair, snapshot)
+        state.versions, state.looked_ns = _versions(look.pair, snapshot), snapshot.stamp_ns
+        state.looked_cells = _known_cells(look.pair, snapshot)
         if state.edge is not None:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
             state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
             state.is_disputed = not fusion.accepted and fusion.overlap_ratio >= DISPUTED_OVERLAP
             return ""
-        state.searched_cells = _known_cells(look.pair, snapshot)
+        state.searched_cells = state.looked_cells
         return self._consider(state, look.pair, fusion, snapshot)
 
     def settle(self, snapshot: Snapshot) -> list[str]:
@@ -180,11 +191,10 @@ def _predicted(pair: Pair, placements: Mapping[str, Placement]) -> SE2 | None:
     return a.T_group_map.inverse() @ b.T_group_map
 
 
-def _has_grown(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
-    if state.searched_cells is None:
-        return True
+def _changed(before: tuple[int, int], pair: Pair, snapshot: Snapshot) -> float:
+    """By which share the known area of one of the two maps has changed, the larger share."""
     now = _known_cells(pair, snapshot)
-    return any(abs(n - before) > GROWTH * before for n, before in zip(now, state.searched_cells, strict=True))
+    return max(abs(n - old) / max(old, 1) for n, old in zip(now, before, strict=True))
 
 
 def _versions(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:

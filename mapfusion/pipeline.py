@@ -17,9 +17,9 @@ from mapfusion.merge import merge_grids
 from mapfusion.posegraph import Misfit, Pair, separated
 from mapfusion.priors import Priors, checked
 from mapfusion.result import PairFusion
-from mapfusion.steps import Event, FusionStep, PairReport, Path, Placement, PoseSource
+from mapfusion.steps import Event, FusionStep, PairReport, Path, Placement, PoseSource, StampArray
 from mapfusion.timeline import Snapshot, snapshots
-from mapfusion.transform import SE2
+from mapfusion.transform import SE2, FloatArray
 
 
 def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Iterator[FusionStep]:
@@ -38,7 +38,7 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
     """
     config = config or ReplayConfig()
     fuser, joins, groups = PairFuser(config.fusion), Joins(config.never), Groups(config.reference)
-    priors, maps = Priors(config.priors, config.reference), _MergedMaps(config)
+    priors, maps, poses = Priors(config.priors, config.reference), _MergedMaps(config), _Poses(config.interval_s)
     placements: Mapping[str, Placement] = {}
     with _concurrent_map(config.jobs) as each:
         for snapshot in snapshots(events, config):
@@ -55,7 +55,7 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
                 stamp_ns=snapshot.stamp_ns,
                 is_last=snapshot.is_last,
                 placements=placements,
-                poses=_poses(snapshot, placements),
+                poses=poses.at(snapshot, placements),
                 pairs=tuple(_report(pair, fusion, snapshot, placements) for pair, fusion in fusions.items()),
                 maps=maps.due(snapshot, placements),
                 changes=(*pair_changes, *contradicted, *update.changes),
@@ -135,16 +135,33 @@ def _report(pair: Pair, fusion: PairFusion, snapshot: Snapshot, placements: Mapp
     return PairReport(a, b, fusion, placed, _age_s(a, snapshot), _age_s(b, snapshot))
 
 
-def _poses(snapshot: Snapshot, placements: Mapping[str, Placement]) -> dict[str, SE2]:
-    """Poses with heading in the group's frame (Zick et al. 2025, 3.5), of the robots whose pose is known."""
-    stamps = np.array([snapshot.stamp_ns], np.int64)
-    poses = {}
-    for robot, placement in placements.items():
-        source = snapshot.robots[robot].poses
-        x_m, y_m, yaw_rad = (np.nan,) * 3 if source is None else source.poses_at(stamps)[0]
-        if np.isfinite(x_m + y_m + yaw_rad):
-            poses[robot] = placement.T_group_map @ SE2(x_m, y_m, yaw_rad)
-    return poses
+class _Poses:
+    """Poses at snapshots, looked up ahead for many of them: a look-up costs as much for one time as for many."""
+
+    NUM_AHEAD = 256
+
+    def __init__(self, interval_s: float) -> None:
+        self._interval_ns = round(interval_s * 1e9)
+        self._known: dict[str, tuple[StampArray, FloatArray]] = {}
+
+    def at(self, snapshot: Snapshot, placements: Mapping[str, Placement]) -> dict[str, SE2]:
+        """Poses with heading in the group's frame (Zick et al. 2025, 3.5), of the robots whose pose is known."""
+        poses = {}
+        for robot, placement in placements.items():
+            source = snapshot.robots[robot].poses
+            if source is not None:
+                x_m, y_m, yaw_rad = self._pose(robot, source, snapshot.stamp_ns)
+                if np.isfinite(x_m + y_m + yaw_rad):
+                    poses[robot] = placement.T_group_map @ SE2(x_m, y_m, yaw_rad)
+        return poses
+
+    def _pose(self, robot: str, source: PoseSource, stamp_ns: int) -> FloatArray:
+        if robot not in self._known or stamp_ns not in self._known[robot][0]:
+            stamps_ns = stamp_ns + self._interval_ns * np.arange(self.NUM_AHEAD, dtype=np.int64)
+            self._known[robot] = (stamps_ns, source.poses_at(stamps_ns))
+        stamps_ns, poses = self._known[robot]
+        pose: FloatArray = poses[np.searchsorted(stamps_ns, stamp_ns)]
+        return pose
 
 
 def _paths(snapshot: Snapshot, placements: Mapping[str, Placement]) -> dict[str, Path]:

@@ -14,7 +14,6 @@ from mapfusion.grid import Mask
 from mapfusion.steps import StampArray
 from mapfusion.transform import FloatArray
 
-
 _Link = tuple[str, str]
 MAX_DEPTH = 64
 """Longest way up from a frame that is followed; real trees are less than 20 deep."""
@@ -135,15 +134,6 @@ class TransformBuffer:
             if not samples.is_static
         ]
         return (int(min(map(np.min, moving))), int(max(map(np.max, moving)))) if moving else None
-
-    @property
-    def num_edges(self) -> int:
-        """Number of pairs of parent and child."""
-        return sum(map(len, self._samples.values()))
-
-    def has_edge(self, parent: str, child: str) -> bool:
-        """Whether there is a sample of `T_parent_child`."""
-        return child in self._samples and parent in self._samples[child]
 
     @property
     def frames(self) -> frozenset[str]:

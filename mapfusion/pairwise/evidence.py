@@ -131,7 +131,7 @@ def weigh(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: in
         num_walls=n,
         mutual_cells=mutual,
         mutual_ratio=mutual / max(known, 1.0),
-        conditioning=fixed[:, 0] / np.maximum(fixed[:, 1], 1e-9),
+        conditioning=np.maximum(fixed[:, 0], 0.0) / np.maximum(fixed[:, 1], 1e-9),
         residual_cells=np.sqrt((forward.squares + backward.squares) / np.maximum(agreeing[:, -1], 1.0)),
         spread_cells=np.sqrt(np.maximum(narrow[:, 0] / 2.0, 0.0)),
     )

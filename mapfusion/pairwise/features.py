@@ -15,7 +15,7 @@ BORDER = 32
 """Background around the image, cells: ORB is blind in a frame of its patch."""
 BLUR_SIGMA = 1.5
 """Blur of the wall image, cells: binary staircases carry no gradient worth describing."""
-NUM_FEATURES = 1000
+NUM_FEATURES = 500
 NUM_LEVELS = 2
 SCALE_FACTOR = 1.6
 FAST_THRESHOLD = 5

@@ -16,7 +16,7 @@ from mapfusion.pairwise.surface import NOT_KNOWN, Surface, SurfaceField
 from mapfusion.pairwise.voting import Matches, count_inliers, vote
 
 NUM_VOTED = 60
-NUM_ROTATIONS = 30
+NUM_ROTATIONS = 20
 NUM_CORRELATED = 60
 NUM_STARTS = 24
 NUM_CANDIDATES = 8

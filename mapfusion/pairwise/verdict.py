@@ -8,7 +8,7 @@ import numpy as np
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.evidence import DEPENDENT_CELLS
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.search import Finding
 from mapfusion.result import PairFusion
@@ -16,22 +16,29 @@ from mapfusion.transform import SE2, FloatArray
 
 MIN_WALL_CELLS = 40
 """A map with less wall than this beside free space says nothing."""
-MIN_EVIDENCE = 12.0
-"""Net evidence below which agreement is no better than what the search finds between any two maps."""
-MIN_CONDITIONING = 0.05
+MIN_EVIDENCE = 25.0
+"""Net evidence below which agreement is no better than what a search finds between any two maps."""
+MIN_CONDITIONING = 0.03
 """Least smallest / largest eigenvalue of what the agreeing walls fix of the translation."""
-MIN_DISTINCTNESS = 1.25
-"""A different alignment with more than 1 / this of the evidence makes a pair ambiguous, whatever the confidence."""
+MAX_CONTRADICTION = 0.45
+"""Most walls in the other map's free space, as a share of what chance would put there."""
+MIN_DISTINCTNESS = 2.2
+"""A different alignment with more than 1 / this of the evidence makes a pair ambiguous, whatever the confidence.
+
+Measured on views of loops that look alike after half a turn: there the wrong alignment reaches 2.1 times the evidence
+of the right one.
+"""
 MIN_CONFIDENCE = 0.9
 MIN_RESIDUAL_CELLS = 0.3
 """Cells are no points: walls are not placed better than this."""
 
-BIAS = -10.5
-WEIGHT_EVIDENCE = 1.15
-WEIGHT_DISTINCTNESS = 2.5
-WEIGHT_CONTRADICTION = -0.83
-WEIGHT_CONDITIONING = 2.9
-WEIGHT_OVERLAP = 0.72
+BIAS = -5.37
+WEIGHT_EVIDENCE = 1.742
+WEIGHT_DISTINCTNESS = 2.638
+WEIGHT_CONTRADICTION = -1.087
+WEIGHT_CRISP_CONTRADICTION = -1.45
+WEIGHT_CONDITIONING = 2.557
+WEIGHT_OVERLAP = 2.413
 """Weights of the logistic model of `confidence`; benchmarks/RESULTS.md says what they were fitted on."""
 
 
@@ -85,20 +92,24 @@ def judge(
 
 
 def _distinctness(finding: Finding) -> float:
-    """Net evidence over that of the best different alignment, at most 8: beyond, more says nothing more."""
+    """Net evidence over that of the best different alignment, at most 4: beyond, more says nothing more."""
     net = max(finding.figures["net"], 1e-9)
-    return min(net / max(finding.rival_net, 1e-9), 8.0)
+    return min(net / max(finding.rival_net, 1e-9), 4.0)
 
 
 def _confidence(finding: Finding) -> float:
+    """Logistic model; each figure is held to the range in which it tells right from wrong."""
     figures = finding.figures
+    contradiction = figures["contradiction"]
     x = (
         BIAS
         + WEIGHT_EVIDENCE * math.log(max(figures["net"], 1.0))
         + WEIGHT_DISTINCTNESS * math.log(_distinctness(finding))
-        + WEIGHT_CONTRADICTION * math.log(0.03 + figures["contradiction"])
-        + WEIGHT_CONDITIONING * math.sqrt(figures["conditioning"])
-        + WEIGHT_OVERLAP * math.log(max(figures["mutual_ratio"], 0.01))
+        + WEIGHT_CONTRADICTION * math.log(0.03 + contradiction)
+        # Walls that fit to a cell have no bend to excuse what contradicts.
+        + WEIGHT_CRISP_CONTRADICTION * contradiction * TOLERANCES_CELLS[0] / figures["tolerance_cells"]
+        + WEIGHT_CONDITIONING * math.log(min(max(figures["conditioning"], 0.01), 0.3))
+        + WEIGHT_OVERLAP * math.log(min(max(figures["mutual_ratio"], 0.01), 0.3))
     )
     return 1.0 / (1.0 + math.exp(-x))
 
@@ -112,22 +123,28 @@ def _refusal(config: FusionConfig, finding: Finding, confidence: float, cells: A
     if config.mae_threshold is not None and cells.mae >= config.mae_threshold:
         return "mae", f"mean absolute error {cells.mae:.1f} grey levels, not below {config.mae_threshold:g}"
     if figures["net"] < MIN_EVIDENCE:
-        return "chance", f"agreement is no better than what chance brings between unrelated maps: {agreement}"
+        return "chance", f"agreement is no better than what a search finds between unrelated maps: {agreement}"
+    if figures["contradiction"] > MAX_CONTRADICTION:
+        return "contradiction", (
+            f"walls stand in the other map's free space, {figures['contradiction']:.0%} of what chance would put there "
+            f"(at most {MAX_CONTRADICTION:.0%}); {agreement}"
+        )
     if figures["conditioning"] < MIN_CONDITIONING:
         return "one direction", (
             "walls agree in one direction only: a straight wall or corridor fixes nothing along itself "
-            f"({figures['conditioning']:.3f} of the constraint across, at least {MIN_CONDITIONING} is needed)"
+            f"(constraint along / across {figures['conditioning']:.3f}, at least {MIN_CONDITIONING} is needed)"
         )
     if distinctness < MIN_DISTINCTNESS:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
-            f"({1.0 / distinctness:.2f} of the evidence; the best: {agreement})"
+            f"({1.0 / distinctness:.2f} of the evidence, at most {1.0 / MIN_DISTINCTNESS:.2f}); the best: {agreement}"
         )
     if confidence < MIN_CONFIDENCE:
         return "confidence", (
             f"not sure enough ({confidence:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, "
-            f"walls in the other's free space are {figures['contradiction']:.2f} of what chance would put there, "
-            f"the best different alignment has {1.0 / distinctness:.2f} of the evidence"
+            f"{figures['mutual_ratio']:.0%} of the smaller map in common, walls in the other's free space "
+            f"{figures['contradiction']:.0%} of chance, the best different alignment has "
+            f"{1.0 / distinctness:.2f} of the evidence"
         )
     return "", ""
 

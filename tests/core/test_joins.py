@@ -98,7 +98,9 @@ def joined() -> Joins:
 
 def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
     joins = joined()
-    at = snapshot(a=2, b=1)
+    assert joins.due(snapshot(second=1.0, a=2, b=1), {}) == []
+    assert joins.due(snapshot(second=1.0, known=11, a=2, b=1), {}) == [Look(AB, T)]
+    at = snapshot(second=10.0, a=2, b=1)
     assert joins.due(at, {}) == [Look(AB, T)]
     look(joins, at, replace(ACCEPTED, T_target_source=SE2(1.1, 2.0, 0.3)))
     assert joins.held[AB].T_a_b == SE2(1.1, 2.0, 0.3)
@@ -107,14 +109,14 @@ def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
 def test_a_join_outlasts_doubt_and_a_single_contradiction() -> None:
     joins = joined()
     for version, fusion in enumerate([DOUBTFUL, DOUBTFUL, REFUSED, DOUBTFUL, REFUSED], start=2):
-        assert look(joins, snapshot(a=version, b=1), fusion) == [""]
+        assert look(joins, snapshot(second=10.0 * version, a=version, b=1), fusion) == [""]
     assert AB in joins.held
 
 
 def test_contradictions_in_a_row_end_a_join_and_say_why() -> None:
     joins = joined()
-    assert look(joins, snapshot(a=2, b=1), REFUSED) == [""]
-    assert look(joins, snapshot(a=3, b=1), REFUSED) == ["a and b part: walls disagree"]
+    assert look(joins, snapshot(second=10.0, a=2, b=1), REFUSED) == [""]
+    assert look(joins, snapshot(second=11.0, a=3, b=1), REFUSED) == ["a and b part: walls disagree"]
     assert not joins.held
     assert joins.due(snapshot(a=4, b=1), {}) == [Look(AB, None)]
 

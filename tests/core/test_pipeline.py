@@ -98,7 +98,7 @@ def test_an_old_map_starts_no_join() -> None:
 
 def test_a_map_replaced_by_another_places_parts_the_robots() -> None:
     other = [seen_from(rooms(seed=seed), T_PLACE_A, (260, 260)) for seed in (5, 6, 7)]
-    events = [*mission(), *(grid_event("a", 10.0 + i, grid) for i, grid in enumerate(other))]
+    events = [*mission(), *(grid_event("a", 10.0 + 6.0 * i, grid) for i, grid in enumerate(other))]
     steps = list(replay(events))
     assert steps[6].placements
     assert not steps[-1].placements
