@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from mapfusion.config import Blend
 from mapfusion.grid import UNKNOWN, Cells, OccupancyGrid, crop_to_known, resample
+from mapfusion.moved import CellTimes, without_moved_things
+from mapfusion.steps import StampArray
 from mapfusion.transform import SE2
 
 WALL_LOG_ODDS = 3.5
@@ -26,6 +27,7 @@ def merge_grids(
     blend: Blend,
     resolution_m: float | None,
     stamp_ns: int,
+    since_ns: Sequence[StampArray] | None = None,
 ) -> OccupancyGrid:
     """Brings grids into one frame and combines their cells by evidence.
 
@@ -36,24 +38,35 @@ def merge_grids(
             known over unknown, sampled bilinearly).
         resolution_m: Cell size of the result; None: the finest of the grids.
         stamp_ns: Stamp of the result.
+        since_ns: Since when each cell of each grid is as it is; with it, things that moved fade from the result of
+            `log-odds`.
 
     Returns:
         A grid, without rotation, whose corner is a multiple of its cell size; a cell is known where a map knows it, and
         keeps its value where one map alone knows it. One unknown cell where no map knows anything.
     """
     finest = min(grid.resolution_m for grid in grids) if resolution_m is None else resolution_m
-    parts = [crop_to_known(resample(grid, finest) if grid.resolution_m < finest else grid) for grid in grids]
-    parts = [part for part in parts if part.known.any()]
-    placed = [T for part, T in zip(grids, T_world_frames, strict=True) if part.known.any()]
-    if not parts:
+    known = [index for index, grid in enumerate(grids) if grid.known.any()]
+    if not known:
         return OccupancyGrid(np.full((1, 1), UNKNOWN, np.int8), finest, SE2.identity(), stamp_ns=stamp_ns)
+    grids, placed = [grids[index] for index in known], [T_world_frames[index] for index in known]
+    parts = [crop_to_known(resample(grid, finest) if grid.resolution_m < finest else grid) for grid in grids]
     col0, row0, width, height = _canvas(parts, placed, finest)
     T_world_merged = SE2(col0 * finest, row0 * finest, 0.0)
     layers = [
         _warp(part, T_world_merged.inverse() @ T @ part.T_frame_grid, finest, (height, width), blend == "paper")
         for part, T in zip(parts, placed, strict=True)
     ]
-    cells = _log_odds(layers) if blend == "log-odds" else np.maximum.reduce(layers)
+    if blend != "log-odds":
+        cells = np.maximum.reduce(layers)
+    elif since_ns is None:
+        cells = _log_odds(layers)
+    else:
+        times = [
+            CellTimes(since_ns[index], grid, T_world_merged.inverse() @ T @ grid.T_frame_grid)
+            for index, grid, T in zip(known, grids, placed, strict=True)
+        ]
+        cells = _log_odds(without_moved_things(layers, times, finest))
     return OccupancyGrid(cells, finest, T_world_merged, stamp_ns=stamp_ns)
 
 
@@ -105,20 +118,21 @@ def _warp(part: OccupancyGrid, T_merged_part: SE2, resolution_m: float, shape: t
 
 def _log_odds(layers: Sequence[Cells]) -> Cells:
     """Sum of the layers' evidence as occupancy per cent; a cell that one layer alone knows keeps its value."""
-    lookup = _evidence_of_cell()
-    evidence = np.zeros(layers[0].shape, np.float32)
+    evidence = np.zeros(layers[0].shape, np.int32)
     num_known = np.zeros(layers[0].shape, np.uint8)
     for layer in layers:
-        evidence += lookup[layer.view(np.uint8)]
+        evidence += _EVIDENCE.take(layer.view(np.uint8))
         num_known += layer != UNKNOWN
-    percent = np.rint(100.0 / (1.0 + np.exp(-evidence))).astype(np.int8)
-    alone = np.maximum.reduce(layers)
-    cells: Cells = np.where(num_known > 1, percent, alone)
+    percent = _PERCENT.take(evidence.clip(-_CERTAIN, _CERTAIN) + _CERTAIN)
+    cells: Cells = np.where(num_known > 1, percent, np.maximum.reduce(layers))
     return cells
 
 
-def _evidence_of_cell() -> npt.NDArray[np.float32]:
-    """(256,) log-odds by the cell's byte: linear from free over no evidence at 50 % to a wall; unknown has none."""
-    table = np.zeros(256, np.float32)
-    table[:101] = np.interp(np.arange(101), [0.0, 50.0, 100.0], [FREE_LOG_ODDS, 0.0, WALL_LOG_ODDS])
-    return table
+_STEP = 0.01
+"""Evidence is summed in whole steps of this many log-odds, so that the order of the maps cannot matter."""
+_EVIDENCE = np.zeros(256, np.int32)
+"""Evidence of a cell by its byte: linear from free over none at 50 % to a wall; none where it is unknown."""
+_EVIDENCE[:101] = np.rint(np.interp(np.arange(101), [0.0, 50.0, 100.0], [FREE_LOG_ODDS, 0.0, WALL_LOG_ODDS]) / _STEP)
+_CERTAIN = 1000
+"""Steps beyond which the per cent no longer change."""
+_PERCENT = np.rint(100.0 / (1.0 + np.exp(-_STEP * np.arange(-_CERTAIN, _CERTAIN + 1)))).astype(np.int8)

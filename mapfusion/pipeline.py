@@ -216,6 +216,7 @@ class _MergedMaps:
             self._config.blend,
             self._config.resolution_m,
             snapshot.stamp_ns,
+            [snapshot.grids[robot].since_ns for robot in robots],
         )
 
     @staticmethod

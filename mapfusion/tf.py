@@ -72,7 +72,7 @@ class TransformBuffer:
     """Collects transforms in any order and resolves chains of frames.
 
     A child that was published under several parents keeps them all; a chain takes the shortest way, at equal length
-    over the parent with the most samples. Loops are never followed.
+    over the edges with the most samples. Loops are never followed.
     """
 
     def __init__(self) -> None:
@@ -162,8 +162,17 @@ class TransformBuffer:
         common = [frame for frame in from_source if frame in from_target]
         if not common:
             return None
-        meeting = min(common, key=lambda frame: from_source[frame][0] + from_target[frame][0])
-        return _way_up(from_target, meeting), _way_up(from_source, meeting)
+        shortest = min(from_source[frame][0] + from_target[frame][0] for frame in common)
+        ways = [
+            (_way_up(from_target, frame), _way_up(from_source, frame))
+            for frame in common
+            if from_source[frame][0] + from_target[frame][0] == shortest
+        ]
+        return max(ways, key=lambda way: min((self._num_samples(link) for link in (*way[0], *way[1])), default=0))
+
+    def _num_samples(self, link: _Link) -> int:
+        parent, child = link
+        return len(self._samples[child][parent].stamps_ns)
 
     def _ancestors(self, frame: str) -> dict[str, tuple[int, str]]:
         """Every frame above `frame` (itself included): how far up it is, and the frame below it on the way there."""

@@ -8,40 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapfusion.config import ReplayConfig
-from mapfusion.grid import OccupancyGrid
+from mapfusion.newest import NewestGrid
 from mapfusion.steps import Event, GridEvent, RobotEvent
-from mapfusion.transform import FloatArray
 
 SILENCE_NS = 60_000_000_000
 """Snapshots further than this from anything that any robot reported are passed over: recordings made hours apart."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NewestGrid:
-    """A robot's newest grid at a snapshot.
-
-    Attributes:
-        stamp_ns: When it was made, on the mission's clock.
-        version: Counts the robot's grids from 1.
-        grid: The grid.
-        num_known: Number of its known cells.
-        middle_m: (2,) middle of the box around its known cells, in the grid's frame.
-    """
-
-    stamp_ns: int
-    version: int
-    grid: OccupancyGrid
-    num_known: int
-    middle_m: FloatArray
-
-    @classmethod
-    def of(cls, stamp_ns: int, version: int, grid: OccupancyGrid) -> NewestGrid:
-        """Looks at a grid once."""
-        rows, cols = (np.flatnonzero(grid.known.any(axis=axis)) for axis in (1, 0))
-        if rows.size == 0:
-            return cls(stamp_ns, version, grid, 0, grid.T_frame_grid.apply(np.zeros(2)))
-        middle = np.array([cols[0] + cols[-1] + 1, rows[0] + rows[-1] + 1]) * 0.5 * grid.resolution_m
-        return cls(stamp_ns, version, grid, int(np.count_nonzero(grid.known)), grid.T_frame_grid.apply(middle))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +62,7 @@ def snapshots(events: Iterable[Event], config: ReplayConfig) -> Iterator[Snapsho
         for due_ns in clock.due_before(event.stamp_ns):
             yield Snapshot(due_ns, False, dict(robots), dict(grids))
         before = grids.get(event.robot)
-        grids[event.robot] = NewestGrid.of(event.stamp_ns, 1 if before is None else before.version + 1, event.grid)
+        grids[event.robot] = NewestGrid.of(event.stamp_ns, event.grid, before)
         reports.last_grid_ns = event.stamp_ns
     if clock is None:
         return

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
@@ -14,7 +12,7 @@ from mapfusion.pairwise.voting import match
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 
-__all__ = ["PreparedMap", "fuse", "prepare"]
+__all__ = ["PreparedMap", "fuse", "prepare", "verify"]
 
 
 def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig) -> PairFusion:
@@ -40,21 +38,17 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig) -> Pair
 def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, config: FusionConfig) -> PairFusion:
     """Refines and judges a transform that is known from before, without looking for another one.
 
-    Args:
-        target: Map into whose frame the source is to be brought.
-        source: The other map, prepared at the same resolution.
-        T_target_source: The transform.
-        config: Thresholds.
-
-    Returns:
-        The verdict on the refined transform; nothing is said about rivals.
+    Whether a different one fits as well was settled when it was found: its distinctness is taken as
+    verdict.KNOWN_DISTINCTNESS.
     """
     if target.key > source.key:
         return verify(source, target, T_target_source.inverse(), config).swapped()
     refusal = verdict.too_little(target, source)
     if refusal is not None:
         return refusal
-    return _judged(target, source, config, recheck(target, source, _to_cells(target, source, T_target_source)))
+    between_corners = target.grid.T_frame_grid.inverse() @ T_target_source @ source.grid.T_frame_grid
+    known = from_se2(between_corners, target.grid.resolution_m)
+    return _judged(target, source, config, recheck(target, source, known))
 
 
 def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, finding: Finding) -> PairFusion:
@@ -67,8 +61,3 @@ def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, find
 def _to_metres(target: PreparedMap, source: PreparedMap, pose: Poses) -> SE2:
     between_corners = to_se2(pose, target.grid.resolution_m)
     return target.grid.T_frame_grid @ between_corners @ source.grid.T_frame_grid.inverse()
-
-
-def _to_cells(target: PreparedMap, source: PreparedMap, T_target_source: SE2) -> Poses:
-    between_corners = target.grid.T_frame_grid.inverse() @ T_target_source @ source.grid.T_frame_grid
-    return np.asarray(from_se2(between_corners, target.grid.resolution_m))

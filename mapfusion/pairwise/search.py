@@ -45,8 +45,8 @@ class Finding:
         pose: (3,) in cells.
         figures: Its evidence by name.
         information: (3, 3) information matrix about the source's centre, in cells and radians, per wall cell.
-        rival: (3,) the best distinctly different pose; None where none was examined.
-        rival_net: Net evidence of the rival.
+        rival: (3,) the best distinctly different pose, or None.
+        rival_net: Net evidence of the rival, 0 where there is none; None where none was looked for.
         num_matches: Keypoint matches used.
         num_inliers: Those that agree with `pose`.
     """
@@ -55,7 +55,7 @@ class Finding:
     figures: dict[str, float]
     information: Poses
     rival: Poses | None
-    rival_net: float
+    rival_net: float | None
     num_matches: int = 0
     num_inliers: int = 0
 
@@ -111,7 +111,7 @@ def recheck(target: PreparedMap, source: PreparedMap, pose: Poses) -> Finding:
         figures=both.of(best),
         information=information[0],
         rival=None,
-        rival_net=0.0,
+        rival_net=None,
     )
 
 

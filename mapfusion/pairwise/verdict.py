@@ -28,7 +28,11 @@ MIN_DISTINCTNESS = 2.2
 Measured on views of loops that look alike after half a turn: there the wrong alignment reaches 2.1 times the evidence
 of the right one.
 """
+KNOWN_DISTINCTNESS = 3.0
+"""Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_CONFIDENCE = 0.9
+REFUSED_CONFIDENCE = 0.5
+"""Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
 """Cells are no points: walls are not placed better than this."""
 
@@ -71,6 +75,8 @@ def judge(
     """The verdict on the best pose that was found, `T_target_source`, and its rival."""
     confidence = _confidence(finding)
     gate, reason = _refusal(config, finding, confidence, cells)
+    if gate and gate != "confidence":
+        confidence = min(confidence, REFUSED_CONFIDENCE)
     return PairFusion(
         accepted=not gate,
         reason=reason,
@@ -93,8 +99,9 @@ def judge(
 
 def _distinctness(finding: Finding) -> float:
     """Net evidence over that of the best different alignment, at most 4: beyond, more says nothing more."""
-    net = max(finding.figures["net"], 1e-9)
-    return min(net / max(finding.rival_net, 1e-9), 4.0)
+    if finding.rival_net is None:
+        return KNOWN_DISTINCTNESS
+    return min(max(finding.figures["net"], 1e-9) / max(finding.rival_net, 1e-9), 4.0)
 
 
 def _confidence(finding: Finding) -> float:

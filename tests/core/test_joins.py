@@ -4,9 +4,10 @@ from dataclasses import replace
 import pytest
 
 from mapfusion.joins import OVERWHELMING, SETTLED_NS, Joins, Look
+from mapfusion.newest import NewestGrid
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement
-from mapfusion.timeline import NewestGrid, Snapshot
+from mapfusion.timeline import Snapshot
 from mapfusion.transform import SE2
 from tests.fakes import SECOND_NS, flat, grid_of
 
@@ -22,7 +23,7 @@ def snapshot(second: float = 0.0, is_last: bool = False, known: int = 10, **vers
     """Every robot's map has `known` known columns of ten cells."""
     cells = flat(10, 100)
     cells[:, :known] = 0
-    grids = {robot: NewestGrid.of(0, version, grid_of(cells)) for robot, version in versions.items()}
+    grids = {robot: replace(NewestGrid.of(0, grid_of(cells)), version=version) for robot, version in versions.items()}
     return Snapshot(round(second * SECOND_NS), is_last, {}, grids)
 
 

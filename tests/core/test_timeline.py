@@ -2,7 +2,7 @@ import pytest
 
 from mapfusion.config import ReplayConfig
 from mapfusion.steps import Event
-from mapfusion.timeline import NewestGrid, Snapshot, snapshots
+from mapfusion.timeline import Snapshot, snapshots
 from mapfusion.transform import SE2
 from tests.fakes import SECOND_NS, StillPoses, flat, grid_event, grid_of, robot_event
 
@@ -71,12 +71,3 @@ def test_events_out_of_order_are_the_callers_mistake() -> None:
         taken([robot_event("a"), grid_event("a", 2.0, GRID), grid_event("a", 1.0, GRID)])
     with pytest.raises(ValueError, match="not announced"):
         taken([grid_event("a", 2.0, GRID)])
-
-
-def test_the_middle_and_the_size_of_the_known_area() -> None:
-    cells = flat(10, 20)
-    cells[2:6, 4:14] = 0
-    newest = NewestGrid.of(0, 1, grid_of(cells, 0.5, SE2(1.0, 0.0, 0.0)))
-    assert newest.num_known == 40
-    assert newest.middle_m.tolist() == [1.0 + 4.5, 2.0]
-    assert NewestGrid.of(0, 1, grid_of(flat(3, 3))).num_known == 0

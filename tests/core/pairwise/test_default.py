@@ -1,0 +1,194 @@
+"""The default profile as a whole, on places drawn for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapfusion.config import FusionConfig
+from mapfusion.grid import Cells, OccupancyGrid
+from mapfusion.pairwise.default import PreparedMap, fuse, prepare, verify
+from mapfusion.result import PairFusion
+from mapfusion.transform import SE2
+from tests.fakes import flat, grid_of, rooms, seen_from
+
+RESOLUTION_M = 0.1
+T_PLACE_B = SE2(24.0, 6.0, 1.2)
+"""Where the second robot's map lies in the place; the first one's is the place's corner."""
+
+
+def two_views(place: Cells) -> tuple[OccupancyGrid, OccupancyGrid]:
+    """Two overlapping views; the second one's frame is T_PLACE_B in the first one's."""
+    return seen_from(place, SE2.identity(), (220, 230)), seen_from(place, T_PLACE_B, (200, 210))
+
+
+def fused(a: OccupancyGrid, b: OccupancyGrid, config: FusionConfig | None = None) -> PairFusion:
+    resolution_m = max(a.resolution_m, b.resolution_m)
+    return fuse(prepare(a, resolution_m), prepare(b, resolution_m), config or FusionConfig())
+
+
+def assert_near(T: SE2 | None, truth: SE2, cells: float, degrees: float) -> None:
+    assert T is not None
+    at_views = np.array([[5.0, 5.0], [15.0, 15.0]])
+    assert np.linalg.norm(T.apply(at_views) - truth.apply(at_views), axis=1).max() < cells * RESOLUTION_M
+    assert T.distance_to(truth)[1] < math.radians(degrees)
+
+
+@pytest.fixture(scope="module")
+def views() -> tuple[OccupancyGrid, OccupancyGrid]:
+    return two_views(rooms(seed=3))
+
+
+@pytest.fixture(scope="module")
+def prepared(views: tuple[OccupancyGrid, OccupancyGrid]) -> tuple[PreparedMap, PreparedMap]:
+    return prepare(views[0], RESOLUTION_M), prepare(views[1], RESOLUTION_M)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_overlapping_views_join_to_a_fraction_of_a_cell(seed: int) -> None:
+    result = fused(*two_views(rooms(seed=seed)))
+    assert result.accepted, result.reason
+    assert result.confidence >= 0.9
+    assert_near(result.T_target_source, T_PLACE_B, cells=0.5, degrees=0.2)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 6])
+def test_different_places_are_refused_with_a_reason(seed: int) -> None:
+    result = fused(two_views(rooms(seed=seed))[0], two_views(rooms(seed=seed + 10))[1])
+    assert not result.accepted
+    assert result.reason
+    assert result.confidence < 0.9
+
+
+def test_exchanged_maps_give_the_inverse(prepared: tuple[PreparedMap, PreparedMap]) -> None:
+    a, b = prepared
+    forth, back = fuse(a, b, FusionConfig()), fuse(b, a, FusionConfig())
+    assert forth.T_target_source is not None
+    assert back.T_target_source is not None
+    distance_m, angle_rad = forth.T_target_source.distance_to(back.T_target_source.inverse())
+    assert distance_m < 1e-6
+    assert angle_rad < 1e-9
+    assert forth.confidence == back.confidence
+
+
+def test_same_maps_give_the_same_result(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
+    assert fused(*views).T_target_source == fused(*views).T_target_source
+
+
+def test_frames_of_the_grids_are_honoured(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
+    a, b = views
+    T_a, T_b = SE2(7.0, -3.0, 0.4), SE2(-20.0, 11.0, -2.5)
+    result = fused(replace(a, T_frame_grid=T_a), replace(b, T_frame_grid=T_b))
+    truth = T_a @ T_PLACE_B @ T_b.inverse()
+    assert result.accepted
+    assert result.T_target_source is not None
+    assert_near(T_a.inverse() @ result.T_target_source @ T_b, T_a.inverse() @ truth @ T_b, cells=0.5, degrees=0.2)
+
+
+def test_flipped_cells_do_not_matter(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
+    rng = np.random.default_rng(0)
+
+    def flipped(grid: OccupancyGrid) -> OccupancyGrid:
+        cells = grid.cells.copy()
+        hit = (rng.random(cells.shape) < 0.03) & grid.known
+        cells[hit] = 100 - cells[hit]
+        return replace(grid, cells=cells)
+
+    result = fused(flipped(views[0]), flipped(views[1]))
+    assert result.accepted, result.reason
+    assert_near(result.T_target_source, T_PLACE_B, cells=0.5, degrees=0.3)
+
+
+def test_mixed_resolutions_join(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
+    a, b = views
+    fine = OccupancyGrid(np.kron(b.cells, np.ones((2, 2), np.int8)), RESOLUTION_M / 2, b.T_frame_grid)
+    result = fused(a, fine)
+    assert result.accepted
+    assert result.resolution_m == RESOLUTION_M
+    assert_near(result.T_target_source, T_PLACE_B, cells=0.5, degrees=0.2)
+
+
+def test_probabilities_count_by_their_thresholds(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
+    a, b = views
+    cells = np.where(b.cells == 100, 80, np.where(b.cells == 0, 15, b.cells)).astype(np.int8)
+    assert_near(fused(a, replace(b, cells=cells)).T_target_source, T_PLACE_B, cells=0.5, degrees=0.2)
+
+
+def test_known_transform_is_verified_without_search(prepared: tuple[PreparedMap, PreparedMap]) -> None:
+    a, b = prepared
+    off = T_PLACE_B @ SE2(0.15, -0.1, 0.005)
+    result = verify(a, b, off, FusionConfig())
+    assert result.accepted
+    assert_near(result.T_target_source, T_PLACE_B, cells=0.5, degrees=0.2)
+    wrong = verify(a, b, T_PLACE_B @ SE2(3.0, 2.0, 0.8), FusionConfig())
+    assert not wrong.accepted
+
+
+def test_symmetric_place_is_ambiguous_and_names_the_rival() -> None:
+    half = rooms(150, 320, seed=3)
+    place = np.concatenate([half, np.rot90(half, 2)])
+    result = fused(grid_of(place), grid_of(place))
+    assert not result.accepted
+    assert result.gate == "ambiguous"
+    assert result.confidence <= 0.5
+    assert result.rival is not None
+    assert result.T_target_source is not None
+    assert result.rival.distance_to(result.T_target_source)[1] == pytest.approx(math.pi, abs=0.01)
+
+
+def test_two_copies_of_one_map_join_at_identity(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
+    result = fused(views[0], replace(views[0]))
+    assert result.accepted
+    assert result.mae == pytest.approx(0.0, abs=0.5)
+    assert_near(result.T_target_source, SE2.identity(), cells=0.05, degrees=0.01)
+
+
+def test_straight_wall_fixes_nothing_along_itself() -> None:
+    cells = flat(150, 260, 0)
+    cells[70:73] = 100
+    result = fused(grid_of(cells), grid_of(cells[20:, 30:].copy()))
+    assert not result.accepted
+
+
+def circle() -> Cells:
+    y, x = np.indices((200, 200)) - 100
+    cells = np.where(np.hypot(x, y) < 80, 0, -1).astype(np.int8)
+    cells[np.abs(np.hypot(x, y) - 80) < 1.5] = 100
+    return cells
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        flat(60, 60, 0),
+        flat(60, 60, -1),
+        flat(1, 1, 100),
+        flat(60, 60, 100),
+        flat(60, 60, 50),
+        circle(),
+    ],
+    ids=["free", "unknown", "one cell", "solid", "undecided", "circle"],
+)
+def test_maps_that_say_too_little_are_refused(cells: Cells) -> None:
+    result = fused(grid_of(cells), grid_of(cells))
+    assert not result.accepted
+    assert result.reason
+
+
+def test_mae_is_a_hard_gate_where_asked_for(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
+    free = fused(*views)
+    assert free.mae is not None
+    strict = fused(*views, config=FusionConfig(mae_threshold=free.mae / 2))
+    assert (strict.accepted, strict.gate) == (False, "mae")
+
+
+def test_covariance_is_of_the_size_of_the_error(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
+    result = fused(*views)
+    assert result.covariance is not None
+    np.testing.assert_allclose(result.covariance, result.covariance.T, atol=1e-12)
+    assert (np.linalg.eigvalsh(result.covariance) > 0.0).all()
+    sigma_yaw = math.sqrt(result.covariance[2, 2])
+    assert 1e-5 < sigma_yaw < math.radians(1.0)

@@ -1,0 +1,52 @@
+"""Poses of the source in the target, many at once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mapfusion.pairwise.poses import differ, from_se2, inverse, moved, pose_from_centre, to_se2
+from mapfusion.transform import SE2
+
+POSES = np.array([[3.0, -2.0, 0.7], [10.0, 4.0, -3.0]])
+POINTS = np.array([[1.0, 2.0], [-5.0, 7.0], [0.0, 0.0]], np.float32)
+
+
+def test_poses_move_points_as_se2_does() -> None:
+    for pose, points in zip(POSES, moved(POSES, POINTS), strict=True):
+        expected = to_se2(pose, 0.05).apply(POINTS.astype(np.float64) * 0.05) / 0.05
+        np.testing.assert_allclose(points.T, expected, atol=1e-4)
+
+
+def test_inverse_undoes_a_pose() -> None:
+    for pose, back in zip(POSES, inverse(POSES), strict=True):
+        there = moved(pose[None], POINTS)[0].T
+        np.testing.assert_allclose(moved(back[None], there)[0].T, POINTS, atol=1e-4)
+
+
+def test_metres_and_cells_convert_both_ways() -> None:
+    T = SE2(1.5, -0.25, 2.0)
+    again = to_se2(from_se2(T, 0.05), 0.05)
+    assert T.distance_to(again) < (1e-9, 1e-9)
+
+
+def test_pose_from_centre_takes_the_centre_where_it_shall_lie() -> None:
+    centre, there = np.array([30.0, 40.0]), np.array([[5.0, 6.0]])
+    pose = pose_from_centre(np.array([1.1]), there, centre)
+    np.testing.assert_allclose(moved(pose, centre[None].astype(np.float32))[0, :, 0], there[0], atol=1e-4)
+
+
+def test_poses_differ_by_distance_at_the_centre_or_by_rotation() -> None:
+    centre = np.array([100.0, 0.0])
+    base = pose_from_centre(np.zeros(1), centre[None], centre)[0]
+    turned = pose_from_centre(np.radians([4.0, 6.0, 358.0]), np.tile(centre, (3, 1)), centre)
+    shifted = pose_from_centre(np.zeros(2), centre + np.array([[9.0, 0.0], [11.0, 0.0]]), centre)
+    assert differ(base, np.concatenate([turned, shifted]), centre, 10.0, 5.0).tolist() == [
+        False,
+        True,
+        False,
+        False,
+        True,
+    ]
+    assert math.isclose(turned[2, 2], math.radians(358.0))

@@ -1,0 +1,75 @@
+"""Walls as a robot sees them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapfusion.grid import Mask
+from mapfusion.pairwise.surface import (
+    FIELD_MARGIN,
+    NOT_KNOWN,
+    SPECKLE_CELLS,
+    close_gaps,
+    extract_surface,
+    remove_speckle,
+    surface_field,
+)
+
+
+def mask(*rows: str) -> Mask:
+    return np.array([[c == "#" for c in row] for row in rows])
+
+
+def test_rim_lies_on_the_free_side_and_normals_point_into_free_space() -> None:
+    walls = np.zeros((30, 40), np.bool_)
+    walls[14:17] = True
+    free = ~walls
+    surface = extract_surface(walls, free)
+    below, above = surface.points[:, 1] < 15, surface.points[:, 1] > 15
+    assert np.unique(surface.points[:, 1]).tolist() == [13.5, 17.5]
+    np.testing.assert_allclose(surface.normals[below], [[0.0, -1.0]] * int(below.sum()), atol=1e-5)
+    np.testing.assert_allclose(surface.normals[above], [[0.0, 1.0]] * int(above.sum()), atol=1e-5)
+
+
+def test_wall_beside_unknown_has_one_side_only() -> None:
+    walls = np.zeros((30, 40), np.bool_)
+    walls[14:17] = True
+    free = np.zeros_like(walls)
+    free[:14] = True
+    assert np.unique(extract_surface(walls, free).points[:, 1]).tolist() == [13.5]
+
+
+def test_single_unknown_cell_between_wall_and_free_is_closed_but_two_are_not() -> None:
+    walls = mask("....", "####", "....", "....", "....")
+    one_apart = mask("....", "....", "....", "####", "####")
+    two_apart = mask("....", "....", "....", "....", "####")
+    assert close_gaps(walls, one_apart)[2].all()
+    np.testing.assert_array_equal(close_gaps(walls, two_apart), two_apart)
+
+
+def test_specks_go_and_walls_stay() -> None:
+    walls = np.zeros((40, 40), np.bool_)
+    walls[10:13, 5:35] = True
+    with_noise = walls.copy()
+    with_noise[25, 20 : 20 + SPECKLE_CELLS - 1] = True
+    with_noise[11, 20] = False
+    np.testing.assert_array_equal(remove_speckle(with_noise), walls)
+
+
+def test_field_names_the_nearest_point_and_the_depth_of_free_space() -> None:
+    walls = np.zeros((40, 60), np.bool_)
+    walls[:, 10:12] = True
+    free = np.zeros_like(walls)
+    free[:, 12:40] = True
+    surface = extract_surface(walls, free)
+    field = surface_field(surface, free, walls | free)
+    points = np.array([[[20.5, 55.5, 9.5], [20.5, 20.5, 20.5]]], np.float32)
+    cells = field.cells_below(points)[0]
+    np.testing.assert_allclose(surface.points[field.nearest.ravel()[cells]], [[12.5, 20.5]] * 3)
+    depth = field.depth.ravel()[cells]
+    assert depth[0] == pytest.approx(9, abs=1)
+    assert depth[1] == NOT_KNOWN
+    outside = np.array([[[-1e6, 1e6], [1e6, -1e6]]], np.float32)
+    assert (field.depth.ravel()[field.cells_below(outside)] == NOT_KNOWN).all()
+    assert field.nearest.shape == (40 + 2 * FIELD_MARGIN, 60 + 2 * FIELD_MARGIN)

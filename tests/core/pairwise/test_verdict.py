@@ -1,0 +1,106 @@
+"""Whether a fusion is to be trusted: each gate, on findings made for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapfusion.config import FusionConfig
+from mapfusion.pairwise.agreement import Agreement
+from mapfusion.pairwise.prepared import PreparedMap, prepare
+from mapfusion.pairwise.search import Finding
+from mapfusion.pairwise.verdict import judge, too_little
+from mapfusion.result import PairFusion
+from mapfusion.transform import SE2
+from tests.fakes import flat, grid_of, rooms
+
+GOOD = {
+    "net": 300.0,
+    "total": 310.0,
+    "ratio": 0.9,
+    "chance": 0.05,
+    "contradiction": 0.01,
+    "conditioning": 0.6,
+    "mutual_ratio": 0.5,
+    "tolerance_cells": 1.5,
+    "residual_cells": 0.5,
+}
+AGREEMENT = Agreement(mae=5.0, overlap_cells=10_000, overlap_ratio=0.5, resolution_m=0.1)
+RIVAL = SE2(1.0, 2.0, 3.0)
+
+
+@pytest.fixture(scope="module")
+def place() -> PreparedMap:
+    return prepare(grid_of(rooms(seed=3)), 0.1)
+
+
+def finding(rival_net: float | None = 30.0, **figures: float) -> Finding:
+    return Finding(np.zeros(3), GOOD | figures, 1000.0 * np.eye(3), np.zeros(3), rival_net)
+
+
+def judged(place: PreparedMap, found: Finding, mae_threshold: float | None = None) -> PairFusion:
+    config = FusionConfig(mae_threshold=mae_threshold)
+    return judge(place, place, config, found, SE2.identity(), RIVAL, AGREEMENT)
+
+
+def test_good_evidence_is_accepted(place: PreparedMap) -> None:
+    result = judged(place, finding())
+    assert result.accepted
+    assert result.rival is None
+    assert judged(place, finding(rival_net=None)).accepted
+
+
+@pytest.mark.parametrize(
+    ("gate", "found"),
+    [
+        ("chance", finding(net=10.0, rival_net=5.0)),
+        ("contradiction", finding(contradiction=0.6)),
+        ("one direction", finding(conditioning=0.001)),
+        ("ambiguous", finding(rival_net=200.0)),
+        ("confidence", finding(net=30.0, rival_net=10.0, contradiction=0.3, mutual_ratio=0.05)),
+    ],
+)
+def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, found: Finding) -> None:
+    result = judged(place, found)
+    assert (result.accepted, result.gate) == (False, gate)
+    assert any(c.isdigit() for c in result.reason)
+    assert result.confidence < 0.9
+    assert (result.rival == RIVAL) == (gate == "ambiguous")
+
+
+def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
+    assert judged(place, finding(), mae_threshold=5.5).accepted
+    assert judged(place, finding(), mae_threshold=5.0).gate == "mae"
+
+
+@pytest.mark.parametrize(
+    "better",
+    [{"net": 600.0}, {"contradiction": 0.0}, {"mutual_ratio": 0.3}, {"conditioning": 0.3}, {"rival_net": 20.0}],
+)
+def test_confidence_grows_with_every_kind_of_evidence(place: PreparedMap, better: dict[str, float]) -> None:
+    worse = {"net": 60.0, "contradiction": 0.1, "mutual_ratio": 0.2, "conditioning": 0.2, "rival_net": 25.0}
+    assert judged(place, finding(**(worse | better))).confidence > judged(place, finding(**worse)).confidence
+
+
+def test_maps_without_walls_are_refused_before_any_search(place: PreparedMap) -> None:
+    blank = prepare(grid_of(flat(50, 50, 0)), 0.1)
+    assert too_little(place, place) is None
+    refusal = too_little(place, blank)
+    assert refusal is not None
+    assert refusal.gate == "few walls"
+
+
+def test_covariance_is_the_translation_s_at_the_frame_s_origin(place: PreparedMap) -> None:
+    near = judged(place, finding())
+    assert near.covariance is not None
+    far_grid = replace(place.grid, T_frame_grid=SE2(100.0, 0.0, 0.0))
+    far = judge(
+        replace(place, grid=far_grid), replace(place, grid=far_grid), FusionConfig(), finding(), SE2.identity(),
+        None, AGREEMENT,
+    )  # fmt: skip
+    assert far.covariance is not None
+    # 100 m from the origin, an error of the yaw moves the origin's image by its lever.
+    assert far.covariance[1, 1] > near.covariance[1, 1]
+    assert far.covariance[2, 2] == pytest.approx(near.covariance[2, 2])

@@ -1,0 +1,35 @@
+import numpy as np
+
+from mapfusion.newest import NewestGrid
+from mapfusion.transform import SE2
+from tests.fakes import flat, grid_of
+
+
+def test_the_middle_and_the_size_of_the_known_area() -> None:
+    cells = flat(10, 20)
+    cells[2:6, 4:14] = 0
+    newest = NewestGrid.of(0, grid_of(cells, 0.5, SE2(1.0, 0.0, 0.0)))
+    assert newest.num_known == 40
+    assert newest.middle_m.tolist() == [1.0 + 4.5, 2.0]
+    assert NewestGrid.of(0, grid_of(flat(3, 3))).num_known == 0
+
+
+def test_cells_keep_the_time_at_which_they_became_what_they_are_while_the_grid_grows() -> None:
+    first = NewestGrid.of(10, grid_of(np.array([[0, 100], [-1, 0]], np.int8), 0.5, SE2(2.0, 3.0, 0.4)))
+    # One row and one column more before the old corner, in the grid's own directions.
+    corner = SE2(2.0, 3.0, 0.4) @ SE2(-0.5, -0.5, 0.0)
+    grown = np.array([[0, 0, 0], [0, 10, 0], [0, 0, 50]], np.int8)
+    second = NewestGrid.of(20, grid_of(grown, 0.5, corner), first)
+    assert second.version == 2
+    assert second.since_ns.tolist() == [[20, 20, 20], [20, 10, 20], [20, 20, 20]]
+
+
+def test_a_grid_on_another_lattice_starts_anew() -> None:
+    first = NewestGrid.of(10, grid_of(flat(4, 4, 0), 0.5))
+    for other in (grid_of(flat(4, 4, 0), 0.25), grid_of(flat(4, 4, 0), 0.5, SE2(0.25, 0.0, 0.0))):
+        assert (NewestGrid.of(20, other, first).since_ns == 20).all()
+
+
+def test_grids_that_share_no_cell() -> None:
+    first = NewestGrid.of(10, grid_of(flat(4, 4, 0), 0.5))
+    assert (NewestGrid.of(20, grid_of(flat(4, 4, 0), 0.5, SE2(50.0, 0.0, 0.0)), first).since_ns == 20).all()
