@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from mapfusion.grid import FREE_PERCENT, OCCUPIED_PERCENT, UNKNOWN, Cells, Mask, OccupancyGrid
 from mapfusion.steps import StampArray
 from mapfusion.transform import SE2, FloatArray
+
+Indices = npt.NDArray[np.intp]
 
 MAX_SIZE_M = 1.2
 """Nothing larger is held to have moved: a long wall that another map does not have is a matter of alignment."""
@@ -55,23 +58,41 @@ def without_moved_things(layers: Sequence[Cells], times: Sequence[CellTimes], re
     ]
     kept = [layer.copy() for layer in layers]
     clear_somewhere = np.logical_or.reduce(clear)
-    for cells, walls, since in zip(kept, occupied, times, strict=True):
-        for rows, cols in _small_things(walls & clear_somewhere, resolution_m):
-            points_m = np.stack([cols + 0.5, rows + 0.5], axis=-1) * resolution_m
-            stood_ns = np.median(since.at(points_m))
-            views = [other for other, free in zip(times, clear, strict=True) if free[rows, cols].all()]
-            if any(np.median(view.at(points_m)) > stood_ns for view in views):
-                cells[rows, cols] = UNKNOWN
+    for cells, walls, own in zip(kept, occupied, times, strict=True):
+        things = _small_things(walls & clear_somewhere, resolution_m)
+        if things is None:
+            continue
+        points_m = np.stack([things.cols + 0.5, things.rows + 0.5], axis=-1) * resolution_m
+        stood_ns = np.maximum.reduceat(own.at(points_m), things.starts)
+        gone = np.zeros(stood_ns.shape, np.bool_)
+        for view, free in zip(times, clear, strict=True):
+            seen_free = np.logical_and.reduceat(free[things.rows, things.cols], things.starts)
+            gone |= seen_free & (np.minimum.reduceat(view.at(points_m), things.starts) > stood_ns)
+        fades = np.repeat(gone, np.diff(things.starts, append=things.rows.size))
+        cells[things.rows[fades], things.cols[fades]] = UNKNOWN
     return kept
 
 
-def _small_things(mask: Mask, resolution_m: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Rows and columns of every connected part of a mask that is no larger than `MAX_SIZE_M` either way."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Things:
+    """Connected parts of a mask, cell after cell: rows and columns, and where each part starts."""
+
+    rows: Indices
+    cols: Indices
+    starts: Indices
+
+
+def _small_things(mask: Mask, resolution_m: float) -> _Things | None:
+    """The connected parts of a mask that are no larger than `MAX_SIZE_M` either way; None without any."""
     if not mask.any():
-        return
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
-    for label in range(1, count):
-        left, top, width, height, _ = (int(value) for value in stats[label])
-        if max(width, height) * resolution_m <= MAX_SIZE_M:
-            rows, cols = np.nonzero(labels[top : top + height, left : left + width] == label)
-            yield rows + top, cols + left
+        return None
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
+    size = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+    rows, cols = np.nonzero(mask)
+    label = labels[rows, cols]
+    order = np.argsort(label, kind="stable")
+    order = order[size[label[order]] * resolution_m <= MAX_SIZE_M]
+    if order.size == 0:
+        return None
+    starts = np.flatnonzero(np.diff(label[order], prepend=-1))
+    return _Things(rows[order], cols[order], starts)
