@@ -9,6 +9,7 @@ import numpy as np
 
 from mapfusion.pairwise.correlation import correlate
 from mapfusion.pairwise.evidence import against_chance, discounted, weigh
+from mapfusion.pairwise.lines import agreeing_lines
 from mapfusion.pairwise.poses import Poses, differ, inverse
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import encounters, refine
@@ -106,9 +107,11 @@ def recheck(target: PreparedMap, source: PreparedMap, pose: Poses) -> Finding:
     both = weigh(target, source, np.concatenate([polished, pose[None]]), EVIDENCE_POINTS)
     # A bent map may fit better as it was found from afar than where its nearest walls draw it.
     best = 0 if both.net[0] >= 0.9 * both.net[1] else 1
+    found = (polished[0], pose)[best]
+    lines = agreeing_lines(target.field, source.field, found, float(both.tolerance_cells[best]))
     return Finding(
-        pose=(polished[0], pose)[best],
-        figures=both.of(best),
+        pose=found,
+        figures={**both.of(best), "lines": lines},
         information=information[0],
         rival=None,
         rival_net=None,

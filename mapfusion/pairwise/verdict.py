@@ -8,7 +8,7 @@ import numpy as np
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.evidence import DEPENDENT_CELLS, TOLERANCES_CELLS
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.search import Finding
 from mapfusion.result import PairFusion
@@ -36,13 +36,12 @@ REFUSED_CONFIDENCE = 0.5
 MIN_RESIDUAL_CELLS = 0.3
 """Cells are no points: walls are not placed better than this."""
 
-BIAS = -5.37
-WEIGHT_EVIDENCE = 1.742
-WEIGHT_DISTINCTNESS = 2.638
-WEIGHT_CONTRADICTION = -1.087
-WEIGHT_CRISP_CONTRADICTION = -1.45
-WEIGHT_CONDITIONING = 2.557
-WEIGHT_OVERLAP = 2.413
+BIAS = -6.1
+WEIGHT_EVIDENCE = 0.807
+WEIGHT_DISTINCTNESS = 3.276
+WEIGHT_CONTRADICTION = -6.688
+WEIGHT_OVERLAP = 1.54
+WEIGHT_LINES = 0.978
 """Weights of the logistic model of `confidence`; benchmarks/RESULTS.md says what they were fitted on."""
 
 
@@ -107,16 +106,13 @@ def _distinctness(finding: Finding) -> float:
 def _confidence(finding: Finding) -> float:
     """Logistic model; each figure is held to the range in which it tells right from wrong."""
     figures = finding.figures
-    contradiction = figures["contradiction"]
     x = (
         BIAS
         + WEIGHT_EVIDENCE * math.log(max(figures["net"], 1.0))
         + WEIGHT_DISTINCTNESS * math.log(_distinctness(finding))
-        + WEIGHT_CONTRADICTION * math.log(0.03 + contradiction)
-        # Walls that fit to a cell have no bend to excuse what contradicts.
-        + WEIGHT_CRISP_CONTRADICTION * contradiction * TOLERANCES_CELLS[0] / figures["tolerance_cells"]
-        + WEIGHT_CONDITIONING * math.log(min(max(figures["conditioning"], 0.01), 0.3))
+        + WEIGHT_CONTRADICTION * figures["contradiction"]
         + WEIGHT_OVERLAP * math.log(min(max(figures["mutual_ratio"], 0.01), 0.3))
+        + WEIGHT_LINES * math.log(max(figures["lines"], 1.0))
     )
     return 1.0 / (1.0 + math.exp(-x))
 
@@ -148,7 +144,8 @@ def _refusal(config: FusionConfig, finding: Finding, confidence: float, cells: A
         )
     if confidence < MIN_CONFIDENCE:
         return "confidence", (
-            f"not sure enough ({confidence:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, "
+            f"not sure enough ({confidence:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, along about "
+            f"{figures['lines']:.0f} different wall faces, "
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, walls in the other's free space "
             f"{figures['contradiction']:.0%} of chance, the best different alignment has "
             f"{1.0 / distinctness:.2f} of the evidence"

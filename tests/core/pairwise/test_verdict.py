@@ -26,6 +26,7 @@ GOOD = {
     "mutual_ratio": 0.5,
     "tolerance_cells": 1.5,
     "residual_cells": 0.5,
+    "lines": 30.0,
 }
 AGREEMENT = Agreement(mae=5.0, overlap_cells=10_000, overlap_ratio=0.5, resolution_m=0.1)
 RIVAL = SE2(1.0, 2.0, 3.0)
@@ -77,10 +78,10 @@ def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
 
 @pytest.mark.parametrize(
     "better",
-    [{"net": 600.0}, {"contradiction": 0.0}, {"mutual_ratio": 0.3}, {"conditioning": 0.3}, {"rival_net": 20.0}],
+    [{"net": 600.0}, {"contradiction": 0.0}, {"mutual_ratio": 0.3}, {"lines": 40.0}, {"rival_net": 20.0}],
 )
 def test_confidence_grows_with_every_kind_of_evidence(place: PreparedMap, better: dict[str, float]) -> None:
-    worse = {"net": 60.0, "contradiction": 0.1, "mutual_ratio": 0.2, "conditioning": 0.2, "rival_net": 25.0}
+    worse = {"net": 60.0, "contradiction": 0.1, "mutual_ratio": 0.2, "lines": 20.0, "rival_net": 25.0}
     assert judged(place, finding(**(worse | better))).confidence > judged(place, finding(**worse)).confidence
 
 
