@@ -1,8 +1,8 @@
-"""Draws the README's picture: the robots' own maps above, the merged map of `data/samples` with their paths below."""
+"""Draws the pictures of the README and of docs/method.md from `data/samples`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -11,6 +11,10 @@ import numpy.typing as npt
 
 from mapfusion.config import ReplayConfig
 from mapfusion.grid import OccupancyGrid, crop_to_known
+from mapfusion.pairwise.poses import Poses, moved
+from mapfusion.pairwise.prepared import PreparedMap, prepare
+from mapfusion.pairwise.search import examine, propose
+from mapfusion.pairwise.voting import match
 from mapfusion.pipeline import replay
 from mapfusion.steps import Event, FusionStep, GridEvent
 from mapfusion_io.mission import open_recording
@@ -22,8 +26,20 @@ Image = npt.NDArray[np.uint8]
 
 
 def main() -> None:
-    """Writes docs/images/merged.png."""
+    """Writes docs/images/*.png."""
     own, last = replayed(ROOT / "data" / "samples" / "three_robots.mcap")
+    save("merged", merged_picture(own, last))
+    for name, image in method_pictures(own["robot1"], own["robot2"]).items():
+        save(name, image)
+
+
+def save(name: str, image: Image) -> None:
+    """Writes a picture with few colours, small."""
+    cv2.imwrite(str(ROOT / "docs" / "images" / f"{name}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def merged_picture(own: Mapping[str, OccupancyGrid], last: FusionStep) -> Image:
+    """The robots' own maps above, the merged map with their paths below."""
     merged = crop_to_known(last.maps[1], 4)
     fused = picture(merged, 2)
     for colour, path in zip(COLOURS, last.paths.values(), strict=False):
@@ -33,7 +49,67 @@ def main() -> None:
     row = beside(
         [titled(picture(crop_to_known(own[robot], 4), 1), robot, COLOURS[i]) for i, robot in enumerate(last.paths)]
     )
-    cv2.imwrite(str(ROOT / "docs" / "images" / "merged.png"), stacked([row, titled(fused, "merged, in frame world")]))
+    return stacked([row, titled(fused, "merged, in frame world")])
+
+
+def method_pictures(target_grid: OccupancyGrid, source_grid: OccupancyGrid) -> dict[str, Image]:
+    """The stages of the default profile on one pair of maps."""
+    resolution_m = max(target_grid.resolution_m, source_grid.resolution_m)
+    target, source = prepare(target_grid, resolution_m), prepare(source_grid, resolution_m)
+    matches = match(target.features, source.features)
+    hypotheses = propose(target, source, matches)
+    found = examine(target, source, hypotheses, matches)
+    rims = [titled(rim_picture(one), name) for one, name in ((target, "robot1"), (source, "robot2"))]
+    overlays = [titled(overlay(target, source, found.pose), f"best: {found.figures['net']:.0f} of net evidence")]
+    if found.rival is not None and found.rival_net is not None:
+        overlays.append(titled(overlay(target, source, found.rival), f"rival: {found.rival_net:.0f}"))
+    votes = titled(hypotheses_picture(target, source, hypotheses, found.pose), f"{len(hypotheses)} hypotheses")
+    return {"method_rim": beside(rims), "method_hypotheses": votes, "method_evidence": beside(overlays)}
+
+
+def rim_picture(one: PreparedMap) -> Image:
+    """A map with the rim of its walls, coloured by the side from which it was seen, and its keypoints."""
+    image = picture(one.grid, 1)
+    if one.field is not None:
+        hue = (np.degrees(np.arctan2(one.field.surface.normals[:, 1], one.field.surface.normals[:, 0])) % 360) / 2
+        hsv = np.stack([hue, np.full_like(hue, 255), np.full_like(hue, 220)], axis=-1).astype(np.uint8)[None]
+        cols, rows = one.field.surface.points.astype(int).T
+        image[one.grid.height - 1 - rows, cols] = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0]
+    for x, y in one.features.points:
+        cv2.circle(image, (round(float(x)), one.grid.height - 1 - round(float(y))), 3, (0, 140, 255), 1, cv2.LINE_AA)
+    return image
+
+
+def hypotheses_picture(target: PreparedMap, source: PreparedMap, hypotheses: Poses, best: Poses) -> Image:
+    """Where each hypothesis puts the middle of the source's walls and its heading; the best in red."""
+    margin = 120
+    image = cv2.copyMakeBorder(
+        picture(target.grid, 1), margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=(205, 205, 205)
+    )
+    for pose, colour, width in [*((one, (180, 120, 60), 1) for one in hypotheses), (best, (40, 40, 220), 3)]:
+        ends = moved(pose[None], np.stack([source.centre, source.centre + np.array([25.0, 0.0])]).astype(np.float32))[
+            0
+        ].T
+        (x0, y0), (x1, y1) = (
+            (round(float(x)) + margin, target.grid.height - round(float(y)) + margin) for x, y in ends
+        )
+        cv2.arrowedLine(image, (x0, y0), (x1, y1), colour, width, cv2.LINE_AA, tipLength=0.3)
+    return image  # type: ignore[return-value]
+
+
+def overlay(target: PreparedMap, source: PreparedMap, pose: Poses) -> Image:
+    """The target's walls in black and the source's, moved by a pose, in red."""
+    assert target.field is not None
+    assert source.field is not None
+    there = moved(pose[None], source.field.surface.points)[0].T
+    both = np.concatenate([target.field.surface.points, there])
+    low = np.floor(both.min(axis=0)) - 4
+    width, height = (int(v) for v in np.ceil(both.max(axis=0) - low) + 4)
+    image = np.full((height, width, 3), 255, np.uint8)
+    for points, colour in ((target.field.surface.points, (0, 0, 0)), (there, (40, 40, 220))):
+        cols, rows = (points - low).astype(int).T
+        image[height - 1 - rows, cols] = colour
+    return image
 
 
 def replayed(path: Path) -> tuple[dict[str, OccupancyGrid], FusionStep]:
