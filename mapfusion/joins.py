@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -9,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mapfusion.posegraph import Edge, Pair
+from mapfusion.posegraph import Edge, Pair, pair_key, strongest
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement, natural_key
 from mapfusion.timeline import Snapshot
@@ -25,6 +27,10 @@ SAME_M, SAME_RAD = 0.5, np.radians(5.0)
 """Two looks within this, at the middle of b's area, found the same transform."""
 GROWTH = 0.1
 """A refused pair is searched again when one of its maps has changed its known area by this share."""
+NUM_TIES = 3
+"""So many joins of a robot are followed; with more, every further one costs and adds hardly anything."""
+MAX_SEARCHES = 6
+"""So many pairs are searched at a snapshot, those of which most has changed; the others wait. Bounds N squared work."""
 DISPUTED_OVERLAP = 0.2
 """Two maps that overlap this far where other robots place them, and do not agree there, are searched as well."""
 FOLLOW_GROWTH = 0.02
@@ -86,22 +92,29 @@ class Joins:
         """The pairs that are to be looked at, in natural order.
 
         A pair is looked at when enough of a map of it changed: a joined one is verified, as is one whose robots are
-        tied over others; any other is searched. The last snapshot looks at every pair of which anything changed.
+        tied over others while they have few joins; any other is searched, a few pairs at a time. The last snapshot
+        looks at every pair of which anything changed.
         """
-        looks = []
+        held = self.held
+        num_ties = Counter(robot for pair in held for robot in pair)
+        looks: list[Look] = []
+        searches: list[tuple[float, Look]] = []
         for pair in combinations(sorted(snapshot.grids, key=natural_key), 2):
             state = self._states.setdefault(pair, _PairState())
             if frozenset(pair) in self.never or state.versions == _versions(pair, snapshot):
                 continue
-            T_a_b = state.edge.T_a_b if state.edge is not None else _predicted(pair, placements)
-            has_grown = state.searched_cells is None or _changed(state.searched_cells, pair, snapshot) > GROWTH
-            if T_a_b is not None and not (state.is_disputed and has_grown):
-                waited = snapshot.stamp_ns - state.looked_ns >= FOLLOW_NS or state.contradictions > 0
-                if snapshot.is_last or waited or _changed(state.looked_cells, pair, snapshot) > FOLLOW_GROWTH:
+            T_a_b = held[pair].T_a_b if pair in held else _predicted(pair, placements)
+            growth = math.inf if state.searched_cells is None else _changed(state.searched_cells, pair, snapshot)
+            if T_a_b is not None and not (state.is_disputed and growth > GROWTH):
+                is_wanted = pair in held or min(num_ties[robot] for robot in pair) < NUM_TIES
+                if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
                     looks.append(Look(pair, T_a_b))
-            elif snapshot.is_last or state.candidate is not None or has_grown:
-                looks.append(Look(pair, None))
-        return looks
+            elif snapshot.is_last or state.candidate is not None or growth > GROWTH:
+                searches.append((growth, Look(pair, None)))
+        if not snapshot.is_last:  # the others stay due
+            searches = sorted(searches, key=lambda search: -search[0])[:MAX_SEARCHES]
+        looks += [look for _, look in searches]
+        return sorted(looks, key=lambda look: pair_key(look.pair))
 
     def record(self, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
         """Takes note of a look; returns what came of it in words, where a join began or ended."""
@@ -130,9 +143,9 @@ class Joins:
 
     @property
     def held(self) -> dict[Pair, Edge]:
-        """The joins that hold, in natural order."""
-        order = sorted(self._states, key=lambda pair: (natural_key(pair[0]), natural_key(pair[1])))
-        return {pair: edge for pair in order if (edge := self._states[pair].edge) is not None}
+        """The joins that hold, in natural order; of many, those that tie everything and each robot's strongest."""
+        edges = {pair: state.edge for pair, state in self._states.items() if state.edge is not None}
+        return strongest(edges, NUM_TIES)
 
     def drop(self, pair: Pair) -> None:
         """Ends a join, so that the pair is searched anew."""
@@ -163,6 +176,11 @@ class Joins:
                 self.drop(pair)
                 return f"{pair[0]} and {pair[1]} part: {fusion.reason}"
         return ""
+
+
+def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
+    waited = snapshot.stamp_ns - state.looked_ns >= FOLLOW_NS or state.contradictions > 0
+    return waited or _changed(state.looked_cells, pair, snapshot) > FOLLOW_GROWTH
 
 
 def _confirms(state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> bool:

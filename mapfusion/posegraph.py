@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -79,11 +80,23 @@ def separated(edges: Mapping[Pair, Edge], never: Collection[frozenset[str]]) -> 
     The most confident edges are kept (Kruskal's way, where a union that would bring such a pair together is skipped).
     """
     members = {robot: frozenset({robot}) for pair in edges for robot in pair}
-    for pair in sorted(edges, key=lambda pair: (not edges[pair].is_fixed, -edges[pair].confidence, _pair_key(pair))):
+    for pair in sorted(edges, key=lambda pair: (not edges[pair].is_fixed, -edges[pair].confidence, pair_key(pair))):
         union = members[pair[0]] | members[pair[1]]
         if not any(apart <= union for apart in never):
             members |= dict.fromkeys(union, union)
     return {pair: edge for pair, edge in edges.items() if pair[1] in members[pair[0]]}
+
+
+def strongest(edges: Mapping[Pair, Edge], count: int) -> dict[Pair, Edge]:
+    """The edges that tie everything together and the `count` most confident ones of each robot, in natural order."""
+    ranked = sorted(edges, key=lambda pair: (-edges[pair].confidence, pair_key(pair)))
+    kept = _tree(ranked)
+    num_kept: Counter[str] = Counter()
+    for pair in ranked:
+        if min(num_kept[robot] for robot in pair) < count:
+            kept.add(pair)
+            num_kept.update(pair)
+    return {pair: edges[pair] for pair in sorted(kept, key=pair_key)}
 
 
 def solve(edges: Mapping[Pair, Edge], reference: str) -> Solution:
@@ -99,7 +112,7 @@ def solve(edges: Mapping[Pair, Edge], reference: str) -> Solution:
     """
     support = _support(edges)
     ranked = sorted(
-        edges, key=lambda pair: (not edges[pair].is_fixed, -support[pair], -edges[pair].confidence, _pair_key(pair))
+        edges, key=lambda pair: (not edges[pair].is_fixed, -support[pair], -edges[pair].confidence, pair_key(pair))
     )
     fixed = {pair for pair in ranked if edges[pair].is_fixed}
     poses, hops = _span(edges, ranked, reference)
@@ -110,8 +123,8 @@ def solve(edges: Mapping[Pair, Edge], reference: str) -> Solution:
         if fixed | fitting | tree == kept:
             break
         kept = fixed | fitting | tree
-        poses = _least_squares({pair: edges[pair] for pair in sorted(kept, key=_pair_key)}, poses, reference)
-    dropped = {pair: misfit(edges[pair], poses, pair) for pair in sorted(edges, key=_pair_key) if pair not in kept}
+        poses = _least_squares({pair: edges[pair] for pair in sorted(kept, key=pair_key)}, poses, reference)
+    dropped = {pair: misfit(edges[pair], poses, pair) for pair in sorted(edges, key=pair_key) if pair not in kept}
     return Solution(poses, dropped)
 
 
@@ -174,7 +187,7 @@ def _span(edges: Mapping[Pair, Edge], ranked: Sequence[Pair], reference: str) ->
     poses, hops = {reference: SE2.identity()}, {reference: 0}
     queue = [reference]
     for robot in queue:  # breadth first; the queue grows while it is walked
-        for a, b in sorted(tree, key=_pair_key):
+        for a, b in sorted(tree, key=pair_key):
             other = b if a == robot else a if b == robot else None
             T_robot_other = None if other is None else _transform(edges, robot, other)
             if other is not None and T_robot_other is not None and other not in poses:
@@ -238,5 +251,6 @@ def _information(edge: Edge) -> FloatArray:
     return np.linalg.inv(J @ edge.covariance @ J.T + floor)
 
 
-def _pair_key(pair: Pair) -> tuple[object, object]:
+def pair_key(pair: Pair) -> tuple[tuple[tuple[int, int, str], ...], ...]:
+    """Sort key that puts pairs in natural order."""
     return natural_key(pair[0]), natural_key(pair[1])

@@ -44,6 +44,7 @@ class Evidence:
         ratio_fine: Share that agrees within the finest tolerance.
         chance: Share that would agree by chance.
         contradiction: Walls deep in the other map's free space / those that would be by chance.
+        contradiction_fine: The same at the finest tolerance.
         num_walls: Wall cells in the mutual area, of both maps.
         mutual_cells: Cells known in both.
         mutual_ratio: The same / known cells of the smaller map.
@@ -60,6 +61,7 @@ class Evidence:
     ratio_fine: Figures
     chance: Figures
     contradiction: Figures
+    contradiction_fine: Figures
     num_walls: Figures
     mutual_cells: Figures
     mutual_ratio: Figures
@@ -128,6 +130,7 @@ def weigh(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: in
         ratio_fine=(agreeing / safe)[:, 0],
         chance=_pooled(forward.chance, backward.chance, forward.n, backward.n)[at],
         contradiction=contradiction[at],
+        contradiction_fine=contradiction[:, 0],
         num_walls=n,
         mutual_cells=mutual,
         mutual_ratio=mutual / max(known, 1.0),

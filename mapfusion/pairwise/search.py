@@ -35,7 +35,9 @@ SAME_CELLS = 6.0
 SAME_DEGREES = 4.0
 DISTINCT_CELLS = 10.0
 DISTINCT_SHARE = 0.04
-DISTINCT_DEGREES = 5.0
+DISTINCT_DEGREES = 10.0
+LITTLE_LOSS = 0.88
+"""A pose with this share of the best one's evidence explains the maps as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +50,7 @@ class Finding:
         information: (3, 3) information matrix about the source's centre, in cells and radians, per wall cell.
         rival: (3,) the best distinctly different pose, or None.
         rival_net: Net evidence of the rival, 0 where there is none; None where none was looked for.
+        slack_rad: How far the rotation may turn, within what is one and the same answer, at little loss of evidence.
         num_matches: Keypoint matches used.
         num_inliers: Those that agree with `pose`.
     """
@@ -57,6 +60,7 @@ class Finding:
     information: Poses
     rival: Poses | None
     rival_net: float | None
+    slack_rad: float = 0.0
     num_matches: int = 0
     num_inliers: int = 0
 
@@ -73,13 +77,16 @@ def propose(target: PreparedMap, source: PreparedMap, matches: Matches) -> Poses
 def examine(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches) -> Finding:
     """The best of the hypotheses, refined, with its evidence and its rival."""
     poses, net = refine_and_rank(target, source, hypotheses)
-    apart = np.flatnonzero(differ(poses[0], poses, source.centre, distinct_cells(target, source), DISTINCT_DEGREES))
+    different = differ(poses[0], poses, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
+    apart = np.flatnonzero(different)
     rival = None if not len(apart) else poses[apart[0]]
+    turns = np.abs(np.remainder(poses[:, 2] - poses[0, 2] + math.pi, 2.0 * math.pi) - math.pi)
     found = recheck(target, source, poses[0])
     return replace(
         found,
         rival=rival,
         rival_net=0.0 if rival is None else float(net[apart[0]]),
+        slack_rad=float(turns[~different & (net >= LITTLE_LOSS * net[0])].max()),
         num_matches=len(matches),
         num_inliers=count_inliers(target.features, source.features, matches, found.pose),
     )

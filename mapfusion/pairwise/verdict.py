@@ -30,18 +30,22 @@ of the right one.
 """
 KNOWN_DISTINCTNESS = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
+MAX_SLACK_DEGREES = 2.0
+"""Most rotation that may be open where the maps, bent or small, are explained as well by neighbouring alignments."""
 MIN_CONFIDENCE = 0.9
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
 """Cells are no points: walls are not placed better than this."""
 
-BIAS = -6.1
-WEIGHT_EVIDENCE = 0.807
-WEIGHT_DISTINCTNESS = 3.276
-WEIGHT_CONTRADICTION = -6.688
-WEIGHT_OVERLAP = 1.54
-WEIGHT_LINES = 0.978
+BIAS = -9.27
+WEIGHT_EVIDENCE = 0.418
+WEIGHT_DISTINCTNESS = 4.146
+WEIGHT_AGREEMENT = 3.39
+WEIGHT_CONTRADICTION = -4.31
+WEIGHT_CRISP_CONTRADICTION = -6.0
+WEIGHT_OVERLAP = 1.017
+WEIGHT_LINES = 1.174
 """Weights of the logistic model of `confidence`; benchmarks/RESULTS.md says what they were fitted on."""
 
 
@@ -92,7 +96,11 @@ def judge(
         covariance=_covariance(target, source, finding, T_target_source),
         resolution_m=target.grid.resolution_m,
         rival=rival if gate == "ambiguous" else None,
-        evidence={**finding.figures, "distinctness": _distinctness(finding)},
+        evidence={
+            **finding.figures,
+            "distinctness": _distinctness(finding),
+            "slack_deg": math.degrees(finding.slack_rad),
+        },
     )
 
 
@@ -106,12 +114,16 @@ def _distinctness(finding: Finding) -> float:
 def _confidence(finding: Finding) -> float:
     """Logistic model; each figure is held to the range in which it tells right from wrong."""
     figures = finding.figures
+    # Walls that fit to a cell have no bend to excuse what contradicts.
+    crispness = min(figures["ratio_fine"] / max(figures["ratio"], 1e-3), 1.0)
     x = (
         BIAS
         + WEIGHT_EVIDENCE * math.log(max(figures["net"], 1.0))
         + WEIGHT_DISTINCTNESS * math.log(_distinctness(finding))
+        + WEIGHT_AGREEMENT * figures["ratio"]
         + WEIGHT_CONTRADICTION * figures["contradiction"]
-        + WEIGHT_OVERLAP * math.log(min(max(figures["mutual_ratio"], 0.01), 0.3))
+        + WEIGHT_CRISP_CONTRADICTION * figures["contradiction_fine"] * crispness**2
+        + WEIGHT_OVERLAP * math.log(min(max(figures["mutual_ratio"], 0.01), 0.6))
         + WEIGHT_LINES * math.log(max(figures["lines"], 1.0))
     )
     return 1.0 / (1.0 + math.exp(-x))
@@ -141,6 +153,11 @@ def _refusal(config: FusionConfig, finding: Finding, confidence: float, cells: A
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
             f"({1.0 / distinctness:.2f} of the evidence, at most {1.0 / MIN_DISTINCTNESS:.2f}); the best: {agreement}"
+        )
+    if finding.slack_rad > math.radians(MAX_SLACK_DEGREES):
+        return "imprecise", (
+            f"alignments that differ by {math.degrees(finding.slack_rad):.1f} degrees fit equally well "
+            f"(at most {MAX_SLACK_DEGREES:g}): the maps are bent, or their common area is too small to fix the rotation"
         )
     if confidence < MIN_CONFIDENCE:
         return "confidence", (

@@ -1,9 +1,10 @@
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from mapfusion.joins import OVERWHELMING, SETTLED_NS, Joins, Look
+from mapfusion.joins import MAX_SEARCHES, OVERWHELMING, SETTLED_NS, Joins, Look
 from mapfusion.newest import NewestGrid
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement
@@ -142,3 +143,18 @@ def test_a_place_given_by_others_that_does_not_look_right_is_searched_as_well() 
 def test_pairs_that_must_not_join_are_not_looked_at() -> None:
     joins = Joins(never=[frozenset(AB)])
     assert [one.pair for one in joins.due(snapshot(a=1, b=1, c=1), {})] == [("a", "c"), ("b", "c")]
+
+
+def test_among_many_robots_a_few_pairs_are_searched_at_a_time_and_all_in_the_end() -> None:
+    joins, names = Joins(), [f"r{number}" for number in range(8)]
+    seen = set()
+    for version in range(1, 8):
+        versions: dict[str, Any] = dict.fromkeys(names, version)
+        at = snapshot(**versions)
+        looks = joins.due(at, {})
+        assert len(looks) <= MAX_SEARCHES
+        for one in looks:
+            seen.add(one.pair)
+            joins.record(one, REFUSED, at)
+    assert len(seen) == 8 * 7 // 2
+    assert len(joins.due(snapshot(is_last=True, **dict.fromkeys(names, 9)), {})) == 8 * 7 // 2

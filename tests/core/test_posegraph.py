@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from mapfusion.posegraph import Edge, Pair, components, separated, solve
+from mapfusion.posegraph import Edge, Pair, components, separated, solve, strongest
 from mapfusion.transform import SE2
 
 
@@ -135,3 +135,16 @@ def test_robots_that_must_stay_apart_are_cut_at_the_least_confident_tie() -> Non
     kept = separated(edges, [frozenset({"a", "d"})])
     assert set(kept) == {("a", "b"), ("c", "d"), ("x", "y")}
     assert separated(edges, []) == edges
+
+
+def test_of_many_edges_the_strongest_of_each_robot_and_a_tree_remain() -> None:
+    rng = np.random.default_rng(0)
+    edges = {pair: Edge(SE2.identity(), float(rng.uniform(0.9, 1.0))) for pair in all_pairs(20)}
+    kept = strongest(edges, 3)
+    assert len(kept) <= 3 * 20
+    assert components(list(kept)) == components(list(edges))
+    for robot in {robot for pair in edges for robot in pair}:
+        best = max((pair for pair in edges if robot in pair), key=lambda pair: edges[pair].confidence)
+        assert best in kept
+    few = {pair: edge for pair, edge in edges.items() if pair in all_pairs(4)}
+    assert strongest(few, 3) == few

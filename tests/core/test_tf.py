@@ -99,3 +99,33 @@ def test_quaternions_are_normalised(norm: float) -> None:
     quat = tuple(norm * part for part in yaw_quat(0.4))
     buffer.add("map", "base", 0, (0.0, 0.0, 0.0), quat)
     np.testing.assert_allclose(chain_of(buffer, "map", "base").poses_at(stamps(0))[0], [0, 0, 0.4], atol=1e-12)
+
+
+def test_stamps_that_do_not_hold_are_dropped_and_counted() -> None:
+    buffer = TransformBuffer()
+    for stamp in (10, 20, 30, 1000):
+        buffer.add("map", "base", stamp, (float(stamp), 0.0, 0.0), IDENTITY)
+    buffer.add("map", "other", 1000, (0.0, 0.0, 0.0), IDENTITY)
+    buffer.add("world", "map", 1000, (0.0, 0.0, 0.0), IDENTITY, is_static=True)
+    assert buffer.range_ns == (10, 1000)
+    assert buffer.keep(lambda stamps_ns: stamps_ns < 100) == 2
+    assert buffer.range_ns == (10, 30)
+    assert buffer.frames == {"map", "base", "world"}
+    np.testing.assert_allclose(chain_of(buffer, "world", "base").poses_at(stamps(15, 30))[:, 0], [15.0, 30.0])
+    assert TransformBuffer().range_ns is None
+
+
+def test_a_stray_sample_does_not_turn_a_loop_around() -> None:
+    buffer = TransformBuffer()
+    for stamp in (10, 20, 30):
+        buffer.add("map", "base", stamp, (1.0, 0.0, 0.0), IDENTITY)
+    buffer.add("base", "map", 15, (7.0, 0.0, 0.0), IDENTITY)
+    np.testing.assert_allclose(chain_of(buffer, "map", "base").poses_at(stamps(10, 30))[:, 0], [1.0, 1.0])
+
+
+def test_endless_ways_up_are_not_followed() -> None:
+    buffer = TransformBuffer()
+    for index in range(5000):
+        buffer.add(f"frame{index}", f"frame{index + 1}", 0, (1.0, 0.0, 0.0), IDENTITY)
+    np.testing.assert_allclose(chain_of(buffer, "frame0", "frame60").poses_at(stamps(0))[0, 0], 60.0)
+    assert buffer.chain("frame0", "frame5000") is None

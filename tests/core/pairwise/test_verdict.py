@@ -20,8 +20,10 @@ GOOD = {
     "net": 300.0,
     "total": 310.0,
     "ratio": 0.9,
+    "ratio_fine": 0.85,
     "chance": 0.05,
     "contradiction": 0.01,
+    "contradiction_fine": 0.01,
     "conditioning": 0.6,
     "mutual_ratio": 0.5,
     "tolerance_cells": 1.5,
@@ -60,6 +62,7 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
         ("contradiction", finding(contradiction=0.6)),
         ("one direction", finding(conditioning=0.001)),
         ("ambiguous", finding(rival_net=200.0)),
+        ("imprecise", replace(finding(), slack_rad=0.05)),
         ("confidence", finding(net=30.0, rival_net=10.0, contradiction=0.3, mutual_ratio=0.05)),
     ],
 )
