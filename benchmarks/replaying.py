@@ -74,6 +74,7 @@ def measure(recording: Path, profile: str) -> None:
             settings={"reference": None},
             fusion={"profile": profile},
             world_frame="world",
+            final_only=False,
             compression="zstd",
             include_inputs=False,
             strict=False,

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.config import ReplayConfig
 from mapfusion.grid import OccupancyGrid, crop_to_known
 from mapfusion.pairwise.poses import Poses, moved
 from mapfusion.pairwise.prepared import PreparedMap, prepare
@@ -122,7 +121,7 @@ def replayed(path: Path) -> tuple[dict[str, OccupancyGrid], FusionStep]:
                 own[event.robot] = event.grid
             yield event
 
-    (last,) = replay(noted(), ReplayConfig(final_only=True))
+    *_, last = replay(noted())
     return own, last
 
 

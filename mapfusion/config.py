@@ -13,6 +13,10 @@ Profile = Literal["default", "paper"]
 Blend = Literal["log-odds", "max", "paper"]
 
 
+MAX_SPAN_S = 1e9
+"""Longer than any mission: 32 years."""
+
+
 @dataclass(frozen=True, slots=True)
 class FusionConfig:
     """How two maps are fused.
@@ -66,7 +70,6 @@ class ReplayConfig:
         reference: Robot whose map frame is its group's frame; None: the first robot in natural order.
         blend: How cells that several maps know are combined.
         resolution_m: Cell size of merged maps; None: the finest of the group's maps.
-        final_only: Give the last snapshot only.
         priors: Known starts, by robot.
         never: Pairs of robots that must not come into one group.
         start_ns: No snapshot before this time; grids from before it still count. None: from the first stamp.
@@ -80,7 +83,6 @@ class ReplayConfig:
     reference: str | None = None
     blend: Blend = "log-odds"
     resolution_m: float | None = None
-    final_only: bool = False
     priors: Mapping[str, Prior] = field(default_factory=dict)
     never: frozenset[frozenset[str]] = frozenset()
     start_ns: int | None = None
@@ -88,8 +90,8 @@ class ReplayConfig:
     fusion: FusionConfig = field(default_factory=FusionConfig)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.interval_s) and self.interval_s >= 1e-3):
-            raise ValueError(f"interval_s must be at least 0.001 s, not {self.interval_s}")
+        if not 1e-3 <= self.interval_s <= MAX_SPAN_S:
+            raise ValueError(f"interval_s must lie in 0.001..{MAX_SPAN_S:g} s, not {self.interval_s}")
         if self.max_age_s is not None and not self.max_age_s > 0.0:
             raise ValueError(f"max_age_s must be > 0 s, not {self.max_age_s}")
         if not self.map_interval_s >= 0.0:

@@ -61,12 +61,6 @@ class PairFuser:
             prepared.of(target, resolution_m), prepared.of(source, resolution_m), T_target_source, self._config
         )
 
-    def prepare(self, grid: OccupancyGrid, resolution_m: float) -> None:
-        """Works out ahead what `fuse` needs of a map compared at a cell size."""
-        maps: _Prepared[paper.PaperMap] | _Prepared[default.PreparedMap]
-        maps = self._paper_maps if self._config.profile == "paper" else self._default_maps
-        maps.of(grid, resolution_m)
-
     def forget_all_but(self, grids: Iterable[OccupancyGrid]) -> None:
         """Drops what was worked out about maps that are no longer in use."""
         kept = frozenset(grids)

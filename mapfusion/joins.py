@@ -174,7 +174,7 @@ class Joins:
             state.contradictions += 1
             if state.contradictions >= MAX_CONTRADICTIONS:
                 self.drop(pair)
-                return f"{pair[0]} and {pair[1]} part: {fusion.reason}"
+                return f"the join of {pair[0]} and {pair[1]} ends: {fusion.reason}"
         return ""
 
 

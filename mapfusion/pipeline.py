@@ -30,7 +30,7 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
         config: Settings; the defaults where None.
 
     Returns:
-        The state at every snapshot, or at the last one alone with `config.final_only`; nothing without a grid.
+        The state at every snapshot; nothing without a grid.
         The same events and settings give the same steps, whatever `config.jobs`.
 
     Raises:
@@ -49,8 +49,6 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
             contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]
             for pair in update.dropped:
                 joins.drop(pair)
-            if config.final_only and not snapshot.is_last:
-                continue
             yield FusionStep(
                 stamp_ns=snapshot.stamp_ns,
                 is_last=snapshot.is_last,
@@ -110,7 +108,7 @@ def _look_at_pairs(
 
 def _contradicted(pair: Pair, misfit: Misfit) -> str:
     return (
-        f"{pair[0]} and {pair[1]} part: what joins the other robots places them {misfit.distance_m:.2f} m and "
+        f"the join of {pair[0]} and {pair[1]} ends: the other joins place them {misfit.distance_m:.2f} m and "
         f"{np.degrees(misfit.angle_rad):.1f} degrees differently"
     )
 
@@ -203,7 +201,7 @@ class _MergedMaps:
             return True
         stamp_ns, state = self._merged[group]
         changed = state != self._state(robots, snapshot, placements)
-        waited = snapshot.stamp_ns - stamp_ns >= round(self._config.map_interval_s * 1e9)
+        waited = (snapshot.stamp_ns - stamp_ns) * 1e-9 >= self._config.map_interval_s
         return snapshot.is_last or (changed and waited)
 
     def _merge(

@@ -119,7 +119,7 @@ class FusionStep:
         poses: By robot, those in a group whose pose is known at this time; in the group's frame.
         pairs: The pairs that were looked at, in natural order.
         maps: Merged map by group number, where one is due; their stamps are the snapshot's, `frame_id` is empty.
-        changes: Groups that formed, met or parted at this snapshot, in words.
+        changes: Joins that began or ended and groups that formed, met or parted at this snapshot, in words.
         paths: By robot, in the last step only.
         map_frames: By robot, of all that take part.
     """

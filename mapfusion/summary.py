@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mapfusion.result import PairFusion
 from mapfusion.steps import FusionStep, PairReport, Placement, natural_key
@@ -29,22 +28,35 @@ class PairSummary:
     """A pair that was looked at.
 
     Attributes:
-        a: The robot that comes first in natural order.
-        b: The other.
+        latest: The latest look.
         num_looks: Snapshots in which the pair was looked at.
         num_accepted: Looks that accepted the fusion.
-        placed: Whether both are in one group after the last snapshot.
-        joined_ns: Time of the first look that accepted, None where none did.
-        fusion: The latest look that accepted, or where none did the latest one with the highest confidence.
+        joined_ns: Since when both are in one group, None where they are not.
+        fitting: The latest look that accepted, None where none did.
+        closest: Of the looks that refused, the latest one with the highest confidence; None where none did.
     """
 
-    a: str
-    b: str
-    num_looks: int
-    num_accepted: int
-    placed: bool
-    joined_ns: int | None
-    fusion: PairFusion
+    latest: PairReport
+    num_looks: int = 0
+    num_accepted: int = 0
+    joined_ns: int | None = None
+    fitting: PairFusion | None = None
+    closest: PairFusion | None = None
+
+    @property
+    def a(self) -> str:
+        """The robot that comes first in natural order."""
+        return self.latest.a
+
+    @property
+    def b(self) -> str:
+        """The other."""
+        return self.latest.b
+
+    @property
+    def placed(self) -> bool:
+        """Whether both are in one group after the last snapshot."""
+        return self.joined_ns is not None
 
     @property
     def verdict(self) -> str:
@@ -52,6 +64,19 @@ class PairSummary:
         if not self.placed:
             return "refused"
         return "joined" if self.num_accepted else "placed"
+
+    @property
+    def fusion(self) -> PairFusion:
+        """The look that speaks for the verdict."""
+        looks = (self.fitting, self.closest) if self.placed else (self.closest, self.fitting)
+        return looks[0] or looks[1] or self.latest.fusion
+
+    @property
+    def reason(self) -> str:
+        """Why the pair is not joined, in words; empty where it is."""
+        if self.verdict == "joined":
+            return ""
+        return self.fusion.reason or "found once, and nothing confirmed it"
 
 
 @dataclass(slots=True)
@@ -63,8 +88,8 @@ class Summary:
         first_ns: Time of the first step.
         last_ns: Time of the last one.
         robots: By name.
-        pairs: By the names of the two, in natural order once `pairs_in_order` is asked.
-        changes: Groups that formed, met or parted, with their times.
+        pairs: By the names of the two.
+        changes: Joins that began or ended and groups that formed, met or parted, with their times.
     """
 
     num_snapshots: int = 0
@@ -84,7 +109,9 @@ class Summary:
         for robot in self.robots.keys() | step.placements.keys():
             self.robots[robot] = _robot(self.robots.get(robot, RobotSummary()), robot, step)
         for report in step.pairs:
-            self.pairs[report.a, report.b] = _pair(self.pairs.get((report.a, report.b)), report, step.stamp_ns)
+            self.pairs[report.a, report.b] = _looked(self.pairs.get((report.a, report.b)), report)
+        for pair, known in self.pairs.items():
+            self.pairs[pair] = _since(known, step)
 
     @property
     def groups(self) -> dict[int, tuple[str, ...]]:
@@ -100,7 +127,7 @@ class Summary:
     def pairs_in_order(self) -> list[PairSummary]:
         """The pairs in natural order, as they are after the last step."""
         ordered = sorted(self.pairs, key=lambda pair: (natural_key(pair[0]), natural_key(pair[1])))
-        return [_as_placed(self.pairs[pair], self.robots) for pair in ordered]
+        return [self.pairs[pair] for pair in ordered]
 
     @property
     def nearest_miss(self) -> PairSummary | None:
@@ -122,21 +149,24 @@ def _robot(before: RobotSummary, robot: str, step: FusionStep) -> RobotSummary:
     )
 
 
-def _pair(before: PairSummary | None, report: PairReport, stamp_ns: int) -> PairSummary:
-    fusion, joined_ns, num_looks, num_accepted = report.fusion, None, 0, 0
-    if before is not None:
-        joined_ns, num_looks, num_accepted = before.joined_ns, before.num_looks, before.num_accepted
-        kept = (before.fusion.accepted, before.fusion.confidence)
-        if not report.fusion.accepted and kept > (False, report.fusion.confidence):
-            fusion = before.fusion
-    if report.fusion.accepted and joined_ns is None:
-        joined_ns = stamp_ns
-    return PairSummary(
-        report.a, report.b, num_looks + 1, num_accepted + report.fusion.accepted, report.placed, joined_ns, fusion
+def _looked(before: PairSummary | None, report: PairReport) -> PairSummary:
+    """The pair after one more look."""
+    known, fusion = before or PairSummary(report), report.fusion
+    is_closer = known.closest is None or fusion.confidence >= known.closest.confidence
+    return replace(
+        known,
+        latest=report,
+        num_looks=known.num_looks + 1,
+        num_accepted=known.num_accepted + fusion.accepted,
+        fitting=fusion if fusion.accepted else known.fitting,
+        closest=fusion if not fusion.accepted and is_closer else known.closest,
     )
 
 
-def _as_placed(pair: PairSummary, robots: Mapping[str, RobotSummary]) -> PairSummary:
-    a, b = (robots.get(robot, RobotSummary()).placement for robot in (pair.a, pair.b))
-    placed = a is not None and b is not None and a.group == b.group
-    return PairSummary(pair.a, pair.b, pair.num_looks, pair.num_accepted, placed, pair.joined_ns, pair.fusion)
+def _since(pair: PairSummary, step: FusionStep) -> PairSummary:
+    """The pair with the time since when it is in one group."""
+    a, b = step.placements.get(pair.a), step.placements.get(pair.b)
+    together = a is not None and b is not None and a.group == b.group
+    if together == pair.placed:
+        return pair
+    return replace(pair, joined_ns=step.stamp_ns if together else None)

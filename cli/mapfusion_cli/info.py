@@ -9,11 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mapfusion_cli.options import (
+    MAX_CHUNK_MIB,
+    MAX_MAP_CELLS,
+    MAX_MESSAGES,
+    MAX_ROBOTS,
     AlignStartOption,
     BaseFrameOption,
     Clock,
     ClockOption,
     DropOption,
+    MaxChunkOption,
+    MaxMapCellsOption,
+    MaxMessagesOption,
+    MaxRobotsOption,
     PoseOption,
     RobotOption,
     existing,
@@ -32,6 +40,10 @@ def info(
     drop: DropOption = None,
     pose: PoseOption = None,
     base_frame: BaseFrameOption = None,
+    max_chunk: MaxChunkOption = MAX_CHUNK_MIB,
+    max_map_cells: MaxMapCellsOption = MAX_MAP_CELLS,
+    max_messages: MaxMessagesOption = MAX_MESSAGES,
+    max_robots: MaxRobotsOption = MAX_ROBOTS,
     json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Show what replay would use of recordings and why, what it would pass over, and the command to run.
@@ -40,29 +52,42 @@ def info(
     """
     import json as json_library
 
+    from mapfusion_cli.printing import show
     from mapfusion_cli.replay import DONE_WITH_LOSSES
     from mapfusion_io.mission import open_recording
     from mapfusion_io.mission_summary import mission_document
 
     existing(inputs)
     options = mission_options(
-        clock=clock, align_start=align_start, robot=robot, drop=drop, pose=pose, base_frame=base_frame
+        clock=clock,
+        align_start=align_start,
+        robot=robot,
+        drop=drop,
+        pose=pose,
+        base_frame=base_frame,
+        max_chunk=max_chunk,
+        max_map_cells=max_map_cells,
+        max_messages=max_messages,
+        max_robots=max_robots,
     )
     mission = open_recording(inputs, options)
     for _ in mission.events():  # so that maps which do not fit to each other are found as well
         pass
-    command = _replay_command(inputs, align_start=align_start, robot=robot, drop=drop, pose=pose, base_frame=base_frame)
+    flags = ["--align-start"] if align_start or mission.are_apart_in_time else []
+    flags += ["--clock", "log"] if clock is Clock.log else []
+    command = _replay_command(inputs, flags, robot=robot, drop=drop, pose=pose, base_frame=base_frame)
     if json:
         document = {**mission_document(mission), "replay_command": command}
-        typer.echo(json_library.dumps(document, indent=2, sort_keys=True, allow_nan=False))
+        show(json_library.dumps(document, indent=2, sort_keys=True, allow_nan=False))
     else:
-        typer.echo(info_text(mission, command))
+        show(info_text(mission, command))
     if mission.losses:
         raise typer.Exit(DONE_WITH_LOSSES)
 
 
 def info_text(mission: Mission, command: str) -> str:
     """The mission for a person to read."""
+    from mapfusion_cli.printing import one_line
     from mapfusion_cli.result import losses_text, table
 
     lines = []
@@ -99,12 +124,12 @@ def info_text(mission: Mission, command: str) -> str:
         lines += ["", "replay with:", f"  {command}"]
     else:
         lines += ["", f"nothing to fuse: {len(mission.robots)} robots with a map, two are needed"]
-    return "\n".join(lines)
+    return "\n".join(map(one_line, lines))
 
 
-def _replay_command(inputs: list[Path], *, align_start: bool, **repeated: list[str] | None) -> str:
+def _replay_command(inputs: list[Path], flags: list[str], **repeated: list[str] | None) -> str:
     """A line to paste, with the options that were given."""
-    options = ["--align-start"] if align_start else []
+    options = list(flags)
     for name, values in repeated.items():
         for value in values or ():
             options += [f"--{name.replace('_', '-')}", value]

@@ -72,19 +72,27 @@ def run(arguments: Sequence[str] | None = None) -> None:
 
 
 def _fail(words: str, code: int) -> None:
-    typer.echo(f"mapfusion: {words}", err=True)
+    from mapfusion_cli.printing import two_lines
+
+    with contextlib.suppress(OSError):  # nobody reads it
+        typer.echo(two_lines(f"mapfusion: {words}"), err=True)
     raise SystemExit(code)
 
 
 @contextlib.contextmanager
 def _terminated_like_interrupted() -> Iterator[None]:
-    """SIGTERM unwinds the stack as Ctrl-C does, so that no half-written file is left."""
+    """SIGTERM, and SIGHUP where it is not ignored, unwind the stack as Ctrl-C does: no half-written file is left."""
 
     def terminate(signum: int, frame: FrameType | None) -> None:
         raise SystemExit(128 + signum)
 
-    before = signal.signal(signal.SIGTERM, terminate)
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
+    before = {getattr(signal, name): signal.getsignal(getattr(signal, name)) for name in names}
+    for signum, handler in before.items():
+        if handler not in (signal.SIG_IGN, None):
+            signal.signal(signum, terminate)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for signum, handler in before.items():
+            signal.signal(signum, handler or signal.SIG_DFL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +13,11 @@ import typer
 from mapfusion.errors import ConfigError
 
 if TYPE_CHECKING:
+    from mapfusion.config import Prior
     from mapfusion_io.mission import MissionOptions
+
+
+_LIMITS = "Limits: what is over one is passed over and named as a loss"
 
 
 class Clock(StrEnum):
@@ -44,6 +49,41 @@ BaseFrameOption = Annotated[
     list[str] | None,
     typer.Option("--base-frame", metavar="NAME=FRAME", help="Frame of a robot's body in TF. May be repeated."),
 ]
+PriorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--prior",
+        metavar="NAME=X,Y,YAW[,SIGMA_M,SIGMA_DEG]",
+        help="Known start: pose of the robot's map frame in the world, metres and radians. Fixed, or as sure as the "
+        "sigmas (metres, degrees) say. May be repeated.",
+    ),
+]
+NeverOption = Annotated[
+    list[str] | None,
+    typer.Option("--never", metavar="A,B", help="Two robots that must not come into one group. May be repeated."),
+]
+MaxChunkOption = Annotated[
+    int,
+    typer.Option("--max-chunk", metavar="MIB", min=1, help="Largest chunk or message.", rich_help_panel=_LIMITS),
+]
+MaxMapCellsOption = Annotated[
+    int, typer.Option("--max-map-cells", metavar="N", min=1, help="Largest map.", rich_help_panel=_LIMITS)
+]
+MaxMessagesOption = Annotated[
+    int,
+    typer.Option(
+        "--max-messages",
+        metavar="N",
+        min=1,
+        help="Most maps, transforms and poses of a recording.",
+        rich_help_panel=_LIMITS,
+    ),
+]
+MaxRobotsOption = Annotated[
+    int, typer.Option("--max-robots", metavar="N", min=1, help="Most robots.", rich_help_panel=_LIMITS)
+]
+MAX_CHUNK_MIB, MAX_MAP_CELLS, MAX_MESSAGES, MAX_ROBOTS = 256, 32 * 2**20, 10_000_000, 100
+"""The defaults of `mapfusion_io.read_limits.ReadLimits`, which takes too long to import for `--help`."""
 StartOption = Annotated[
     str | None,
     typer.Option(metavar="TIME", help="Use nothing from before: seconds from the start, unix seconds, or RFC 3339."),
@@ -60,6 +100,10 @@ def mission_options(
     drop: Sequence[str] | None,
     pose: Sequence[str] | None,
     base_frame: Sequence[str] | None,
+    max_chunk: int,
+    max_map_cells: int,
+    max_messages: int,
+    max_robots: int,
     start: str | None = None,
     end: str | None = None,
     duration: float | None = None,
@@ -70,6 +114,7 @@ def mission_options(
         ConfigError: One of them is not NAME=VALUE.
     """
     from mapfusion_io.mission import MissionOptions
+    from mapfusion_io.read_limits import ReadLimits
     from mapfusion_io.time_range import TimeRange
 
     return MissionOptions(
@@ -80,7 +125,45 @@ def mission_options(
         poses=named_values("--pose", pose),
         base_frames=named_values("--base-frame", base_frame),
         time_range=TimeRange(start, end, duration),
+        limits=ReadLimits(
+            record_bytes=max_chunk * 2**20, map_cells=max_map_cells, messages=max_messages, robots=max_robots
+        ),
     )
+
+
+def priors(values: Sequence[str] | None) -> dict[str, Prior]:
+    """--prior options by robot.
+
+    Raises:
+        ConfigError: One is not NAME=X,Y,YAW or NAME=X,Y,YAW,SIGMA_M,SIGMA_DEG.
+    """
+    from mapfusion.config import Prior
+    from mapfusion.transform import SE2
+
+    found = {}
+    for name, text in named_values("--prior", values).items():
+        try:
+            x_m, y_m, yaw_rad, *sigmas = (float(part) for part in text.split(","))
+            sigma_m, sigma_deg = sigmas or (0.0, 0.0)
+            found[name] = Prior(SE2(x_m, y_m, yaw_rad), sigma_m, math.radians(sigma_deg))
+        except ValueError as error:
+            raise ConfigError(
+                f"--prior {name}={text}: must be X,Y,YAW or X,Y,YAW,SIGMA_M,SIGMA_DEG ({error})"
+            ) from error
+    return found
+
+
+def pairs_apart(values: Sequence[str] | None) -> frozenset[frozenset[str]]:
+    """--never options.
+
+    Raises:
+        ConfigError: One is not two different names.
+    """
+    pairs = [frozenset(value.split(",")) for value in values or ()]
+    for pair, value in zip(pairs, values or (), strict=True):
+        if len(pair) != 2 or not all(pair):
+            raise ConfigError(f"--never {value}: must be two robots, A,B")
+    return frozenset(pairs)
 
 
 def named_values(option: str, values: Sequence[str] | None) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,10 @@ import typer
 
 from mapfusion_cli.config_file import config_callback, options_in_effect, print_config
 from mapfusion_cli.options import (
+    MAX_CHUNK_MIB,
+    MAX_MAP_CELLS,
+    MAX_MESSAGES,
+    MAX_ROBOTS,
     AlignStartOption,
     BaseFrameOption,
     Clock,
@@ -17,10 +22,18 @@ from mapfusion_cli.options import (
     DropOption,
     DurationOption,
     EndOption,
+    MaxChunkOption,
+    MaxMapCellsOption,
+    MaxMessagesOption,
+    MaxRobotsOption,
+    NeverOption,
     PoseOption,
+    PriorOption,
     RobotOption,
     StartOption,
     mission_options,
+    pairs_apart,
+    priors,
 )
 
 DONE_WITH_LOSSES = 3
@@ -76,6 +89,8 @@ def replay(
     reference: Annotated[
         str | None, typer.Option(metavar="ROBOT", help="The robot whose map frame its group lives in.")
     ] = None,
+    prior: PriorOption = None,
+    never: NeverOption = None,
     profile: Annotated[
         Profile, typer.Option(help="`paper` keeps to the method of Zick et al. 2025.")
     ] = Profile.default,
@@ -95,6 +110,10 @@ def replay(
     compression: Annotated[Compression, typer.Option(help="Compression of the output.")] = Compression.zstd,
     jobs: Annotated[int, typer.Option(metavar="N", help="Threads that fuse pairs. Never changes the result.")] = 1,
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of everything random.")] = 0,
+    max_chunk: MaxChunkOption = MAX_CHUNK_MIB,
+    max_map_cells: MaxMapCellsOption = MAX_MAP_CELLS,
+    max_messages: MaxMessagesOption = MAX_MESSAGES,
+    max_robots: MaxRobotsOption = MAX_ROBOTS,
     config: Annotated[
         Path | None,
         typer.Option(
@@ -116,6 +135,7 @@ def replay(
 
     Exit codes: 0 done, 1 failed and nothing written, 2 wrong usage, 3 done but messages were lost.
     """
+    from mapfusion_cli.printing import show
     from mapfusion_cli.replay_job import ReplayJob, run_job
     from mapfusion_cli.result import result_json, result_text
 
@@ -131,6 +151,10 @@ def replay(
             drop=drop,
             pose=pose,
             base_frame=base_frame,
+            max_chunk=max_chunk,
+            max_map_cells=max_map_cells,
+            max_messages=max_messages,
+            max_robots=max_robots,
             start=start,
             end=end,
             duration=duration,
@@ -138,15 +162,17 @@ def replay(
         settings={
             "interval_s": interval,
             "max_age_s": max_age,
-            "map_interval_s": map_interval,
+            "map_interval_s": math.inf if final_only else map_interval,
             "reference": reference,
             "blend": blend.value,
             "resolution_m": resolution,
-            "final_only": final_only,
             "jobs": jobs,
+            "priors": priors(prior),
+            "never": pairs_apart(never),
         },
         fusion={"profile": profile.value, "mae_threshold": mae_threshold, "seed": seed},
         world_frame=world_frame,
+        final_only=final_only,
         compression=compression.value,
         include_inputs=include_inputs,
         strict=strict,
@@ -155,9 +181,9 @@ def replay(
     )
     done = run_job(job, quiet=quiet)
     if json:
-        typer.echo(result_json(done))
+        show(result_json(done))
     elif not quiet:
-        typer.echo(result_text(done, verbose=verbose))
+        show(result_text(done, verbose=verbose))
     if done.mission.losses:
         raise typer.Exit(DONE_WITH_LOSSES)
 

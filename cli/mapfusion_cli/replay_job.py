@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +23,9 @@ from mapfusion_io.mission_copy import mission_copy
 from mapfusion_io.mission_summary import metadata_record, summary_document
 from mapfusion_io.output import create_output
 
+MAX_SNAPSHOTS = 1_000_000
+"""Eleven days at one a second; damaged or made-up times may ask for any number."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReplayJob:
@@ -34,6 +38,7 @@ class ReplayJob:
         settings: Fields of `ReplayConfig`.
         fusion: Fields of `FusionConfig`.
         world_frame: Name of the merged frame.
+        final_only: Whether the last snapshot alone is written, with the latest look at every pair.
         compression: Of the output.
         include_inputs: Whether the recordings' channels are copied.
         strict: Whether a loss is a failure.
@@ -47,6 +52,7 @@ class ReplayJob:
     settings: Mapping[str, object]
     fusion: Mapping[str, object]
     world_frame: str
+    final_only: bool
     compression: Literal["zstd", "lz4", "none"]
     include_inputs: bool
     strict: bool
@@ -106,31 +112,58 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
         ) as output:
             progress.stage("fusing", mission.first_ns, mission.last_ns)
             for step in replay(mission.events(), config):
-                output.write(step)
                 summary.add(step)
+                if not job.final_only:
+                    output.write(step)
+                elif step.is_last:
+                    output.write(replace(step, pairs=tuple(pair.latest for pair in summary.pairs_in_order)))
                 progress.reached(step.stamp_ns)
             output.copy_rest()
             if job.strict and mission.losses:
                 loss = mission.losses[0]
                 raise LogReadError(f"{loss.source}: {loss.kind} at {loss.where} (--strict): {loss.detail}")
-            document = summary_document(mission, summary)
+            document = summary_document(mission, summary, job.world_frame)
             output.finish(document, metadata_record(mission, __version__, job.recorded_options))
     elapsed_s = {"reading": read_s - started_s, "fusing and writing": time.perf_counter() - read_s}
     return Done(mission, summary, document, _left_out(inputs), elapsed_s, job.output)
 
 
 def _config(job: ReplayJob, mission: Mission) -> ReplayConfig:
-    reference = job.settings["reference"]
-    names = [robot.name for robot in mission.robots]
-    if reference is not None and reference not in names:
-        raise ConfigError(f"--reference {reference}: there is no such robot; there are {', '.join(names)}")
     try:
-        return ReplayConfig(fusion=FusionConfig(**job.fusion), start_ns=mission.start_ns, **job.settings)  # type: ignore[arg-type]
+        config = ReplayConfig(fusion=FusionConfig(**job.fusion), start_ns=mission.start_ns, **job.settings)  # type: ignore[arg-type]
     except ValueError as error:
-        raise ConfigError(str(error)) from error
+        raise ConfigError(_in_options(str(error))) from error
+    num_snapshots = mission.reported_ns * 1e-9 / config.interval_s
+    if num_snapshots > MAX_SNAPSHOTS:
+        raise ConfigError(
+            f"{mission.reported_ns * 1e-9 / 3600.0:.0f} hours of reports ask for {num_snapshots:.0f} snapshots.\n"
+            f"More than {MAX_SNAPSHOTS} are not made: give a larger --interval, or a part with --start and --duration."
+        )
+    known = [robot.name for robot in mission.robots]
+    named = {
+        "--reference": [config.reference or known[0]],
+        "--prior": config.priors,
+        "--never": frozenset().union(*config.never),
+    }
+    for option, names in named.items():
+        for name in sorted(set(names) - set(known)):
+            raise ConfigError(f"{option} {name}: there is no such robot; there are {', '.join(known)}")
+    return config
+
+
+def _in_options(words: str) -> str:
+    """An error about a field, in terms of the option that sets it."""
+    for name in ("map_interval_s", "interval_s", "max_age_s", "resolution_m", "mae_threshold", "jobs"):
+        words = words.replace(name, f"--{name.removesuffix('_s').removesuffix('_m').replace('_', '-')}")
+    return words
 
 
 def _refuse_output_that_is_input(job: ReplayJob) -> None:
+    if str(job.output) == "-":
+        raise ConfigError("-: the output must be a file; it is completed before it gets its name")
+    inputs = [path.resolve() for path in job.inputs]
+    if len(set(inputs)) < len(inputs):
+        raise ConfigError("an input is given twice")
     target = job.output.resolve()
     for path in job.inputs:
         if target == path.resolve() or path.resolve() in target.parents:
@@ -138,8 +171,8 @@ def _refuse_output_that_is_input(job: ReplayJob) -> None:
 
 
 def _refuse_taken_frame(world_frame: str, mission: Mission) -> None:
-    if not world_frame.strip("/"):
-        raise ConfigError("--world-frame must not be empty")
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_/]*", world_frame):
+        raise ConfigError(f"--world-frame {world_frame!r}: must be letters, digits, _ and /, and not begin with /")
     taken = [frame for frame in mission.frames if frame == world_frame or _is_group_frame(frame, world_frame)]
     if taken:
         raise ConfigError(f"the recordings already have a frame {min(taken)!r}; choose another name with --world-frame")
@@ -150,4 +183,6 @@ def _is_group_frame(frame: str, world_frame: str) -> bool:
 
 
 def _left_out(inputs: InputCopy | None) -> tuple[str, ...]:
-    return () if inputs is None else tuple(str(item) for item in inputs.left_out)
+    if inputs is None:
+        return ()
+    return tuple(f"{item.source} {item.topic}: {item.reason} ({item.count} messages)" for item in inputs.left_out)

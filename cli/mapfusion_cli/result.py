@@ -7,8 +7,13 @@ import math
 from collections.abc import Sequence
 
 from mapfusion.summary import PairSummary
+from mapfusion_cli.printing import one_line
 from mapfusion_cli.replay_job import Done
 from mapfusion_io.interfaces import Loss
+from mapfusion_io.read_errors import printable
+
+LONGEST_CELL = 160
+"""Characters in a column of a table."""
 
 
 def result_json(done: Done) -> str:
@@ -41,7 +46,7 @@ def result_text(done: Done, *, verbose: bool) -> str:
     ]
     maps = [item for item in mission.passed_over if verbose or item.schema_name == "nav_msgs/msg/OccupancyGrid"]
     lines += [f"passed over: {item.source} {item.topic}: {item.reason}" for item in maps]
-    return "\n".join(lines)
+    return "\n".join(map(one_line, lines))
 
 
 def losses_text(losses: Sequence[Loss]) -> list[str]:
@@ -57,6 +62,8 @@ def losses_text(losses: Sequence[Loss]) -> list[str]:
 
 def table(rows: Sequence[Sequence[str]], *, indent: str = "  ") -> list[str]:
     """Rows as lines with columns of one width; the last column is not padded."""
+    rows = [[printable(cell) for cell in row] for row in rows]
+    rows = [[cell if len(cell) <= LONGEST_CELL else cell[: LONGEST_CELL - 3] + "..." for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return [
         (indent + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))).rstrip()
@@ -92,10 +99,10 @@ def _pairs(pairs: Sequence[PairSummary]) -> list[str]:
                 f"{fusion.overlap_ratio:.2f}",
                 f"{fusion.confidence:.3f}",
                 str(fusion.num_inliers),
-                f"{T.x_m:.2f}" if T is not None and show_T else "-",
+                f"{T.x_m + 0.0:.2f}" if T is not None and show_T else "-",
                 f"{T.y_m:.2f}" if T is not None and show_T else "-",
                 f"{math.degrees(T.yaw_rad):.1f}" if T is not None and show_T else "-",
-                fusion.reason,
+                pair.reason,
             )
         )
     return [*table(rows), ""]
@@ -106,7 +113,7 @@ def _advice(done: Done) -> list[str]:
     if done.summary.groups:
         return []
     miss = done.summary.nearest_miss
-    nearest = "" if miss is None else f"; {miss.a} and {miss.b} came closest: {miss.fusion.reason}"
+    nearest = "" if miss is None else f"; {miss.a} and {miss.b} came closest: {miss.reason}"
     return [
         f"nothing was joined{nearest}",
         "try: maps that share more of the place (at least a few rooms seen by both), `mapfusion info` to see whether "
@@ -121,7 +128,8 @@ def _missing_poses(done: Done) -> list[str]:
         if outcome is None or not outcome.num_missing_poses:
             continue
         why = robot.poses.origin if robot.poses.source is None else f"{robot.poses.origin} does not reach there"
-        lines.append(f"no pose of {robot.name} in {outcome.num_missing_poses} snapshots: {why}")
+        if outcome.num_missing_poses > 1 or robot.poses.source is None:  # the last stamp is always some other robot's
+            lines.append(f"no pose of {robot.name} in {outcome.num_missing_poses} snapshots: {why}")
     return lines
 
 

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import logging
 import os
+import re
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
 from mapfusion.errors import LogWriteError
 
+logger = logging.getLogger(__name__)
+
 
 class AtomicFile:
     """A binary file that is written under another name and renamed when it is complete.
 
     It grows as `.NAME.mapfusion-PID.partial` beside its final name, so that the rename stays on one file system.
-    Leaving the `with` block commits it; leaving by an exception, KeyboardInterrupt included, discards it. What only a
-    killed process or a power cut leaves behind can be told by the name. A symbolic link is followed: the file it
-    names is replaced, not the link.
+    Leaving the `with` block commits it; leaving by an exception, KeyboardInterrupt included, discards it, and so does
+    the end of the interpreter. What only a killed process or a power cut leaves behind is told by its name: the next
+    file of this name removes it, unless a process of that number runs. A symbolic link is followed: the file it names
+    is replaced, not the link.
 
     Args:
         path: The final name.
@@ -37,6 +43,9 @@ class AtomicFile:
         refuse_target(self._name, force=self._force)
 
     def __enter__(self) -> Self:
+        _remove_leftovers(self._target)
+        # a signal may strike between the opening and the `with` block
+        atexit.register(self._remove_partial)
         try:
             self._stream = self._partial.open("wb")
         except OSError as error:
@@ -84,6 +93,10 @@ class AtomicFile:
             return
         with contextlib.suppress(OSError):  # closing flushes, which fails again on a full disk
             stream.close()
+        self._remove_partial()
+        atexit.unregister(self._remove_partial)
+
+    def _remove_partial(self) -> None:
         with contextlib.suppress(OSError):
             self._partial.unlink(missing_ok=True)
 
@@ -91,6 +104,30 @@ class AtomicFile:
         if self._stream is None:
             raise ValueError("the file is not open")
         return self._stream
+
+
+def _remove_leftovers(target: Path) -> None:
+    """Removes what processes that were killed left of a file of this name."""
+    pattern = re.compile(re.escape(f".{target.name}.mapfusion-") + r"([0-9]{1,10})\.partial")
+    with contextlib.suppress(OSError):
+        for item in target.parent.iterdir():
+            found = pattern.fullmatch(item.name)
+            if found and item.is_file() and not item.is_symlink() and not _is_running(int(found[1])):
+                item.unlink()
+                logger.warning("%s: removed, left by a run that was killed", item)
+
+
+def _is_running(process_id: int) -> bool:
+    """Whether there is such a process; True where the system cannot tell without harm."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process_id, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def refuse_target(path: Path, *, force: bool) -> None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from mapfusion.errors import LogReadError
 from mapfusion.grid import OccupancyGrid, apply_update
-from mapfusion_io.decode import Decoder, MalformedMessageError
-from mapfusion_io.interfaces import RawMessage
-from mapfusion_io.messages import GridUpdate, grid_update, occupancy_grid
+from mapfusion_io.decode import Decoder
+from mapfusion_io.messages import GridUpdate
 from mapfusion_io.poses import PoseChoice
+from mapfusion_io.read_errors import read_error
+from mapfusion_io.read_limits import ReadLimits
 from mapfusion_io.robots import MapTopic
-from mapfusion_io.survey import Clock, Survey, TopicSurvey, role_of
+from mapfusion_io.survey import Survey, TopicSurvey, map_message
 
 GridMessage = OccupancyGrid | GridUpdate
 
@@ -43,39 +45,75 @@ class MissionRobot:
 
 
 def stamped_grid_messages(
-    survey: Survey, robots: Sequence[MissionRobot], clock: Clock, shift_ns: int
+    survey: Survey,
+    robots: Sequence[MissionRobot],
+    shift_ns: int,
+    limits: ReadLimits,
+    lose: Callable[[str], None],
 ) -> Iterator[tuple[int, MissionRobot, GridMessage]]:
     """Maps and patches of a recording's robots, in the order of their stamps, at equal stamps in file order.
 
-    A message that stands too late in the file is waited for, and only what overtakes it is held.
+    A message that stands too late in the file is waited for, and only what overtakes it is held; where that gets too
+    much, the late message is given up.
+
+    Args:
+        survey: The recording after its first pass.
+        robots: Those of its robots that are wanted.
+        shift_ns: Time to add to the stamps.
+        limits: What may be held.
+        lose: Takes the topic of each message that was given up.
+
+    Raises:
+        LogReadError: The recording is no longer what it was in the first pass.
     """
     owner = {topic.topic: (robot, topic) for robot in robots for topic in robot.grid_topics}
     order = sorted(
-        (stamp_ns, arrival)
+        (stamp_ns, arrival, topic.topic)
         for _, topic in owner.values()
         for stamp_ns, arrival in zip(topic.stamps_ns, topic.arrivals, strict=True)
     )
+    arrival_of = {
+        (topic.topic, number): arrival
+        for _, topic in owner.values()
+        for number, arrival in zip(topic.numbers, topic.arrivals, strict=True)
+    }
     held: dict[int, tuple[MissionRobot, GridMessage]] = {}
+    given_up: set[int] = set()
     seen: Counter[str] = Counter()
-    turn = 0
+    turn, num_held_cells = 0, 0
     decoder = Decoder()
-    for raw in survey.recording.messages(lambda channel: channel.topic in owner and role_of(channel) is not None):
+    for raw in survey.recording.messages(lambda channel: channel.topic in owner):
         robot, topic = owner[raw.channel.topic]
-        try:
-            message = _decoded(raw, decoder)
-        except MalformedMessageError:
-            continue  # counted by the survey
-        held[topic.arrivals[seen[topic.topic]]] = robot, message
         seen[topic.topic] += 1
-        while turn < len(order) and order[turn][1] in held:
-            stamp_ns, arrival = order[turn]
-            yield (stamp_ns + shift_ns, *held.pop(arrival))
+        arrival = arrival_of.pop((topic.topic, seen[topic.topic]), None)
+        if arrival is None or arrival in given_up:
+            continue  # counted by the survey, or by `lose`
+        try:
+            message = map_message(topic.role, decoder.decode(raw), limits)
+        except LogReadError as error:
+            raise _changed(survey) from error
+        held[arrival] = robot, message
+        num_held_cells += _num_cells(message)
+        while turn < len(order) and (order[turn][1] in held or num_held_cells > limits.held_cells):
+            stamp_ns, next_arrival, late_topic = order[turn]
             turn += 1
+            if next_arrival in held:
+                next_robot, next_message = held.pop(next_arrival)
+                num_held_cells -= _num_cells(next_message)
+                yield stamp_ns + shift_ns, next_robot, next_message
+            else:
+                given_up.add(next_arrival)
+                lose(late_topic)
+    if turn < len(order):
+        raise _changed(survey)
 
 
-def _decoded(raw: RawMessage, decoder: Decoder) -> GridMessage:
-    message = decoder.decode(raw)
-    return occupancy_grid(message) if role_of(raw.channel) == "grid" else grid_update(message)
+def _num_cells(message: GridMessage) -> int:
+    return message.cells.size if isinstance(message, OccupancyGrid) else message.patch.size
+
+
+def _changed(survey: Survey) -> LogReadError:
+    return read_error(survey.recording.path, "changed while it was read", "Wait until its recording has ended.")
 
 
 def whole_grid(robot: MissionRobot, message: GridMessage, base: OccupancyGrid | None) -> OccupancyGrid:

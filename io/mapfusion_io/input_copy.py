@@ -14,7 +14,9 @@ from rosbags.rosbag2.metadata import parse_qos
 from mapfusion_io import encode
 from mapfusion_io.frame_edits import FrameEdits, FrameNames
 from mapfusion_io.interfaces import Channel, RawMessage, Recording
+from mapfusion_io.read_errors import printable
 from mapfusion_io.ros2_form import NoRos2FormError, Ros2Form, ros2_form
+from mapfusion_io.stamp_census import END_OF_TIME_NS
 from mapfusion_io.topic_names import TF_STATIC_TOPIC, TF_TOPIC, is_result_topic
 from mapfusion_io.topic_writer import LATCHED, LATCHED_STATICS, STREAMED, OutgoingMessage
 
@@ -30,13 +32,15 @@ class CopySource:
         topic_for: Where a channel's messages shall stand; not asked about transforms, which all go to `/tf` and
             `/tf_static`.
         frame_names_for: The new names of the frames in a channel's messages; None leaves them as they are.
-        time_shift_ns: Added to log times and to header stamps.
+        time_shift_ns: Added to header stamps.
+        log_shift_ns: Added to log times, which puts the messages beside the results of their time.
     """
 
     recording: Recording
     topic_for: Callable[[Channel], str]
     frame_names_for: Callable[[Channel], FrameNames | None]
     time_shift_ns: int = 0
+    log_shift_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -111,7 +115,7 @@ class InputCopy:
         for raw in source.recording.messages(lambda channel: True):
             if raw.channel not in routes:
                 routes[raw.channel] = self._route_or_reason(source, raw.channel)
-            copied = _copied(raw, routes[raw.channel], source.time_shift_ns)
+            copied = _copied(raw, routes[raw.channel], source.log_shift_ns)
             if isinstance(copied, OutgoingMessage):
                 yield copied
             else:
@@ -124,6 +128,8 @@ class InputCopy:
         except NoRos2FormError as reason:
             return str(reason)
         topic = _transform_topic(channel, form) or source.topic_for(channel)
+        if printable(topic) != topic:
+            return "its topic is no plain text"
         if is_result_topic(topic):
             return f"{topic} is a topic of the results"
         if self._topic_types.get(topic, form.kind.name) != form.kind.name:
@@ -155,6 +161,8 @@ def _copied(raw: RawMessage, route: _Route | str, shift_ns: int) -> OutgoingMess
     except NoRos2FormError as reason:
         return str(reason)
     log_time_ns, publish_time_ns = (max(time_ns + shift_ns, 0) for time_ns in (raw.log_time_ns, raw.publish_time_ns))
+    if max(log_time_ns, publish_time_ns) >= END_OF_TIME_NS:
+        return "recorded at an impossible time"
     return OutgoingMessage(route.topic, route.form.kind, route.qos, data, log_time_ns, publish_time_ns)
 
 

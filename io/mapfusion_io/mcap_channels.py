@@ -9,6 +9,7 @@ from mcap.records import Schema as SchemaRecord
 
 from mapfusion_io.interfaces import Channel
 from mapfusion_io.mcap_summary import Summary
+from mapfusion_io.read_limits import ReadLimits
 
 Keep = Callable[[Channel], bool]
 ChannelObjects = dict[tuple[object, ...], Channel]
@@ -22,19 +23,20 @@ class ChannelTable:
 
     Args:
         objects: The recording's channel objects so far; grows.
-        max_objects: Most of them.
+        limits: How many there may be, and how large.
         keep: Says whether a channel is wanted; asked once per channel.
 
     Attributes:
         wanted: By id, the channel, or None where it is not wanted. Ids that are not in it are not defined yet.
-        num_refused: Definitions that were passed over because there are too many.
+        num_refused: Definitions that were passed over because they are too many or too large.
     """
 
-    def __init__(self, objects: ChannelObjects, max_objects: int, keep: Keep) -> None:
+    def __init__(self, objects: ChannelObjects, limits: ReadLimits, keep: Keep) -> None:
         self.wanted: dict[int, Channel | None] = {}
         self.num_refused = 0
         self._objects = objects
-        self._max_objects = max_objects
+        self._limits = limits
+        self._num_bytes = 0
         self._keep = keep
         self._asked: dict[Channel, bool] = {}
         self._defined: dict[int, Channel] = {}
@@ -47,6 +49,12 @@ class ChannelTable:
 
     def add_schema(self, record: SchemaRecord) -> None:
         """A definition for the channels that follow."""
+        if self._schemas.get(record.id) == record:
+            return
+        if not self._has_room(record.name, len(record.data)):
+            self.num_refused += 1
+            self._schemas.pop(record.id, None)
+            return
         self._schemas[record.id] = record
 
     def add_channel(self, record: ChannelRecord) -> None:
@@ -61,7 +69,8 @@ class ChannelTable:
         key = (record.id, record.topic, name, encoding, data, record.message_encoding, tuple(record.metadata.items()))
         channel = self._objects.get(key)
         if channel is None:
-            if len(self._objects) >= self._max_objects:
+            size = len(record.topic) + sum(len(key) + len(value) for key, value in record.metadata.items())
+            if len(self._objects) >= self._limits.definitions or not self._has_room(record.topic, size):
                 self.num_refused += 1
                 self._defined.pop(record.id, None)
                 self.wanted.pop(record.id, None)
@@ -73,6 +82,13 @@ class ChannelTable:
             self._asked[channel] = self._keep(channel)
         self._defined[record.id] = channel
         self.wanted[record.id] = channel if self._asked[channel] else None
+
+    def _has_room(self, name: str, num_bytes: int) -> bool:
+        """Whether a definition may be kept, which then counts."""
+        if len(name) > self._limits.name_characters or self._num_bytes + num_bytes > self._limits.definition_bytes:
+            return False
+        self._num_bytes += num_bytes
+        return True
 
     def find(self, channel_id: int) -> Channel | None:
         """The channel of an id, wanted or not; None where neither the data nor the summary defines it."""

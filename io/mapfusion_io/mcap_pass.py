@@ -53,6 +53,7 @@ class McapPass:
         size = file.seek(0, 2)
         self._summary = read_summary(file, size, self._limits)
         self._channels.set_summary(self._summary)
+        self.verified = self._summary.is_whole
         for record in self._records(file, size):
             if record.opcode == Opcode.CHUNK:
                 yield from self._chunk(file, record)
@@ -182,7 +183,7 @@ class McapPass:
         """What only the end can tell: orphans, messages missing without a trace, the data's checksum."""
         self._channels.find_rest()
         if self._channels.num_refused:
-            detail = f"more than {self._limits.definitions} channels are defined"
+            detail = f"{self._channels.num_refused} definitions of topics or types are too many or too large"
             self.lose("over limit", "whole file", detail=detail)
         counts = self._summary.message_counts
         for channel_id, count in sorted(self._orphans.items()):

@@ -44,7 +44,7 @@ class McapRecording:
 
     @property
     def integrity_verifiable(self) -> bool:
-        """Whether a checksum stood over every message of the latest pass."""
+        """Whether a checksum stood over every message of the latest pass, and the file has its end."""
         return self._latest is None or self._latest.verified
 
     @property
@@ -58,7 +58,7 @@ class McapRecording:
         Raises:
             LogReadError: Nothing at all can be read.
         """
-        table = ChannelTable(self._channels, self._limits.definitions, keep)
+        table = ChannelTable(self._channels, self._limits, keep)
         self._latest = latest = McapPass(self._path, self._limits, table)
         try:
             with self._path.open("rb") as file:

@@ -24,6 +24,7 @@ class Summary:
         message_counts: Number of messages by channel id, None where it holds no statistics.
         data_crc: CRC of everything before the DataEnd record, 0 where there is none.
         data_end: Offset of the DataEnd record, 0 where it is not known.
+        is_whole: Whether the end of the file is as it was written; where it is not, nothing tells what is missing.
     """
 
     schemas: dict[int, Schema]
@@ -32,6 +33,7 @@ class Summary:
     message_counts: dict[int, int] | None = None
     data_crc: int = 0
     data_end: int = 0
+    is_whole: bool = False
 
 
 def read_summary(file: BinaryIO, size: int, limits: ReadLimits) -> Summary:
@@ -83,4 +85,6 @@ def _parsed_summary(section: bytes, found: Summary) -> Summary:
             chunk_offsets.append(parse(ChunkIndex.read, body).chunk_start_offset)
         elif opcode == Opcode.STATISTICS:
             message_counts = parse(Statistics.read, body).channel_message_counts
-    return Summary(schemas, channels, tuple(sorted(chunk_offsets)), message_counts, found.data_crc, found.data_end)
+    return Summary(
+        schemas, channels, tuple(sorted(chunk_offsets)), message_counts, found.data_crc, found.data_end, is_whole=True
+    )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from mapfusion.errors import MalformedMessageError
 from mapfusion.grid import Cells, OccupancyGrid
 from mapfusion.transform import SE2, yaw_from_quaternion
+from mapfusion_io.read_limits import ReadLimits
 
 GRID_TYPES = frozenset({"nav_msgs/msg/OccupancyGrid"})
 UPDATE_TYPES = frozenset({"map_msgs/msg/OccupancyGridUpdate"})
@@ -19,9 +21,16 @@ POSE_TYPES = frozenset(
     {"geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry"}
 )
 
+FRAME_CHARACTERS = 1_024
+"""Longest frame id that is taken for one."""
+FARTHEST_M = 1e8
+"""No place on earth is further from an origin on it; coordinates beyond are damage."""
+RESOLUTIONS_M = (1e-3, 100.0)
+"""Finest and coarsest cells that a map may have."""
 NORM_TOLERANCE = 0.1
 """How far the norm of a quaternion may be from 1 before it is taken for something else than a rotation."""
 
+_T = TypeVar("_T")
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 _IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -65,32 +74,50 @@ class StampedPose(NamedTuple):
     quat_xyzw: Quaternion
 
 
-def occupancy_grid(msg: Any) -> OccupancyGrid:
+class OverLimitError(MalformedMessageError):
+    """A message asks for more than it may."""
+
+
+def believed(read: Callable[..., _T], msg: Any, *arguments: Any) -> _T:
+    """What `read` makes of a message whose type's definition came with the recording and may be any.
+
+    Raises:
+        MalformedMessageError: It cannot be believed, or its fields are not those of its type.
+    """
+    try:
+        return read(msg, *arguments)
+    except (AttributeError, TypeError, ValueError, OverflowError, IndexError) as error:
+        raise _malformed("its fields are not those of its type") from error
+
+
+def occupancy_grid(msg: Any, limits: ReadLimits | None = None) -> OccupancyGrid:
     """From a nav_msgs/OccupancyGrid. The cells are a view of the message, not a copy.
 
     Raises:
         MalformedMessageError: Its data do not fill it, or a number cannot be.
+        OverLimitError: It has too many cells.
     """
     info = msg.info
-    cells = _cells(msg.data, info.width, info.height)
+    cells = _cells(msg.data, info.width, info.height, (limits or ReadLimits()).map_cells)
     resolution_m = float(info.resolution)
-    if not (math.isfinite(resolution_m) and resolution_m > 0.0):
-        raise _malformed(f"resolution {resolution_m} m")
+    if not RESOLUTIONS_M[0] <= resolution_m <= RESOLUTIONS_M[1]:
+        raise _malformed(f"resolution {resolution_m:g} m")
     x_m, y_m, _ = _vector(info.origin.position, "origin")
     yaw_rad = yaw_from_quaternion(*_quaternion(info.origin.orientation, "origin"))
     frame_id = strip_slash(msg.header.frame_id)
     return OccupancyGrid(cells, resolution_m, SE2(x_m, y_m, yaw_rad), frame_id, _stamp_ns(msg.header.stamp))
 
 
-def grid_update(msg: Any) -> GridUpdate:
+def grid_update(msg: Any, limits: ReadLimits | None = None) -> GridUpdate:
     """From a map_msgs/OccupancyGridUpdate. The cells are a view of the message, not a copy.
 
     Raises:
         MalformedMessageError: Its data do not fill it, or a number cannot be.
+        OverLimitError: It has too many cells.
     """
     if msg.x < 0 or msg.y < 0:
         raise _malformed("a patch that starts outside the grid")
-    patch = _cells(msg.data, msg.width, msg.height)
+    patch = _cells(msg.data, msg.width, msg.height, (limits or ReadLimits()).map_cells)
     return GridUpdate(_stamp_ns(msg.header.stamp), strip_slash(msg.header.frame_id), int(msg.x), int(msg.y), patch)
 
 
@@ -132,7 +159,13 @@ def pose(msg: Any) -> StampedPose:
 
 
 def strip_slash(frame_id: str) -> str:
-    """A frame as ROS 2 writes it: ROS 1 allowed one slash in front."""
+    """A frame as ROS 2 writes it: ROS 1 allowed one slash in front.
+
+    Raises:
+        MalformedMessageError: Too long for a name.
+    """
+    if len(frame_id) > FRAME_CHARACTERS:
+        raise _malformed(f"a frame id of more than {FRAME_CHARACTERS} characters")
     return frame_id.removeprefix("/")
 
 
@@ -145,10 +178,12 @@ def _transform(item: Any) -> StampedTransform:
     return StampedTransform(_stamp_ns(item.header.stamp), parent, child, translation_m, quat_xyzw)
 
 
-def _cells(data: Any, width: int, height: int) -> Cells:
+def _cells(data: Any, width: int, height: int, max_cells: int) -> Cells:
     """(height, width) view of row-major data."""
     if len(data) != width * height:
         raise _malformed(f"{len(data)} cells instead of {width} x {height}")
+    if len(data) > max_cells:
+        raise OverLimitError("", 0, f"{width} x {height} cells, the limit is {max_cells}")
     if not len(data):
         raise _malformed("no cells")
     if data.dtype != np.int8:
@@ -164,6 +199,8 @@ def _vector(value: Any, what: str) -> Vector:
     x, y, z = value.x, value.y, value.z
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         raise _malformed(f"{what} is not finite")
+    if max(abs(x), abs(y), abs(z)) > FARTHEST_M:
+        raise _malformed(f"{what} is further away than anything on earth")
     return x, y, z
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +15,17 @@ import numpy as np
 from mapfusion.errors import ConfigError, MissionError
 from mapfusion.grid import OccupancyGrid
 from mapfusion.steps import Event, GridEvent, PoseSource, RobotEvent, StampArray, natural_key
+from mapfusion.timeline import SILENCE_NS
 from mapfusion.transform import FloatArray
 from mapfusion_io.grid_stream import MissionRobot, stamped_grid_messages, whole_grid
 from mapfusion_io.interfaces import Loss
 from mapfusion_io.messages import GRID_TYPES
 from mapfusion_io.poses import PoseOverrides, choose_poses, transform_tree
+from mapfusion_io.read_errors import printable
+from mapfusion_io.read_limits import ReadLimits
 from mapfusion_io.robots import FoundRobots, MapTopic, PassedOver, RobotOverrides, find_robots
 from mapfusion_io.sniff import open_one
-from mapfusion_io.survey import Clock, Survey, TopicSurvey, take_survey
+from mapfusion_io.survey import SAME_CLOCK_NS, Clock, Survey, TopicSurvey, take_survey
 from mapfusion_io.time_range import TimeRange
 
 
@@ -38,6 +41,7 @@ class MissionOptions:
         poses: Pose topic by robot.
         base_frames: Base frame by robot.
         time_range: The part of the mission to use.
+        limits: What the recordings may ask for.
     """
 
     clock: Clock = "header"
@@ -47,6 +51,7 @@ class MissionOptions:
     poses: Mapping[str, str] = field(default_factory=dict)
     base_frames: Mapping[str, str] = field(default_factory=dict)
     time_range: TimeRange = field(default_factory=TimeRange)
+    limits: ReadLimits = field(default_factory=ReadLimits)
 
 
 class Mission:
@@ -55,20 +60,23 @@ class Mission:
     Attributes:
         surveys: The recordings, in natural order.
         robots: The robots, in natural order.
+        limits: What the recordings may ask for.
         unique_frames: How the recordings' frames are made unique.
         frames: Every frame that the recordings' maps, transforms and poses name, made unique.
         passed_over: Topics that are not used, and why; map topics first.
         shifts_ns: Time added to the stamps of each recording, by its name.
         first_ns: First stamp that any robot's map or pose carries, on the mission's clock, within the time range.
         last_ns: The last one.
+        reported_ns: How long anything was reported: the time between these two without longer silences.
         start_ns: Start of the time range, None where open.
         end_ns: End of the time range, exclusive, None where open.
     """
 
     def __init__(self, surveys: Sequence[Survey], options: MissionOptions) -> None:
         self.surveys = tuple(surveys)
-        self._clock = options.clock
-        found = find_robots(surveys, RobotOverrides(options.robots, options.drop))
+        self.limits = options.limits
+        found = find_robots(surveys, RobotOverrides(options.robots, options.drop), options.limits.robots)
+        self._over_limit = found.over_limit
         self.unique_frames = found.unique_frames
         self.shifts_ns = _shifts_ns(surveys, options.align_start)
         tree = transform_tree(found.unique_frames, surveys, self.shifts_ns)
@@ -77,8 +85,10 @@ class Mission:
         self.passed_over = (*found.passed_over, *_unused_topics(surveys, found, self._used_topics))
         map_frames = {robot.map_frame for robot in found.robots}
         self.frames = map_frames | {frame for frame in tree.frames if not frame.startswith("/")}
-        self._bad_grids: Counter[tuple[str, str, str]] = Counter()
-        self.first_ns, self.last_ns, self.start_ns, self.end_ns = self._time_range(options.time_range)
+        self._bad_grids: Counter[tuple[str, str, str, str]] = Counter()
+        stamps = self._stamps()
+        self.first_ns, self.last_ns, self.start_ns, self.end_ns = _time_range(options.time_range, stamps)
+        self.reported_ns = _reported_ns(stamps, self.start_ns, self.end_ns)
 
     def require_robots(self) -> None:
         """Raises:
@@ -94,7 +104,10 @@ class Mission:
                 "`mapfusion info` lists what was passed over."
             )
         maps = [item for item in self.passed_over if item.schema_name in GRID_TYPES]
-        listed = [f"{item.topic} ({item.reason if maps else item.schema_name})" for item in maps or self.passed_over]
+        listed = [
+            f"{printable(item.topic)} ({item.reason if maps else item.schema_name})"
+            for item in maps or self.passed_over
+        ]
         there = ", ".join(listed[:4]) + (f" and {len(listed) - 4} more" if len(listed) > 4 else "")
         raise MissionError(
             f"{files}: no robot's map in it (nav_msgs/OccupancyGrid), only {there or 'nothing'}.\n"
@@ -132,15 +145,22 @@ class Mission:
             losses.extend(loss for loss in survey.losses if not loss.topic or (survey.name, loss.topic) in used)
             for topic in survey.topics.values():
                 if (survey.name, topic.topic) in used:
-                    losses.extend(_malformed(source, topic.topic, topic.malformed))
-        for (source, topic_name, reason), count in sorted(self._bad_grids.items()):
-            losses.append(Loss(source, "malformed message", topic_name, topic_name, count, reason))
+                    losses.extend(_refused(source, topic))
+        for (source, kind, topic_name, reason), count in sorted(self._bad_grids.items()):
+            losses.append(Loss(source, kind, topic_name, topic_name, count, reason))
+        for item in self._over_limit:
+            losses.append(Loss(item.source, "over limit", item.topic, item.topic, item.count, item.reason))
         return tuple(losses)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user should know before trusting the times, each with what to do."""
-        return _apart_in_time(self.surveys, self.robots, self.shifts_ns)
+        return (*_apart_in_time(self.surveys, self.robots, self.shifts_ns), *_clocks_apart(self.robots))
+
+    @property
+    def are_apart_in_time(self) -> bool:
+        """Whether there are recordings that share no time."""
+        return bool(_apart_in_time(self.surveys, self.robots, self.shifts_ns))
 
     @property
     def _used_topics(self) -> frozenset[tuple[str, str]]:
@@ -153,7 +173,9 @@ class Mission:
         """Every map of every robot, patches applied, in the order of their stamps."""
         self._bad_grids.clear()
         streams = [
-            stamped_grid_messages(survey, robots, self._clock, self.shifts_ns[survey.name])
+            stamped_grid_messages(
+                survey, robots, self.shifts_ns[survey.name], self.limits, partial(self._give_up, survey)
+            )
             for survey in self.surveys
             if (robots := [robot for robot in self.robots if robot.found.survey is survey])
         ]
@@ -163,28 +185,25 @@ class Mission:
                 grid = whole_grid(robot, message, newest.get(robot.name))
             except ValueError as error:
                 topic = robot.grid_topics[not isinstance(message, OccupancyGrid)].topic
-                self._bad_grids[robot.found.survey.recording.path.name, topic, str(error)] += 1
+                source = robot.found.survey.recording.path.name
+                self._bad_grids[source, "malformed message", topic, str(error)] += 1
                 continue
             newest[robot.name] = grid
             yield GridEvent(robot.name, stamp_ns, grid)
 
-    def _time_range(self, time_range: TimeRange) -> tuple[int, int, int | None, int | None]:
+    def _give_up(self, survey: Survey, topic: str) -> None:
+        reason = f"more than {self.limits.held_cells} cells of later maps stand before it in the file"
+        self._bad_grids[survey.recording.path.name, "over limit", topic, reason] += 1
+
+    def _stamps(self) -> StampArray:
+        """(N,) stamps of every map and pose of every robot, ascending."""
         stamps = [
             np.array(topic.stamps_ns, np.int64) + self.shifts_ns[robot.found.survey.name]
             for robot in self.robots
             for topic in robot.grid_topics
         ] + [robot.poses.source.stamps_ns for robot in self.robots if robot.poses.source is not None]
-        used = np.concatenate([*stamps, np.empty(0, np.int64)])
-        if used.size == 0:
-            return 0, 0, None, None
-        first_ns, last_ns = int(used.min()), int(used.max())
-        start_ns, end_ns = time_range.resolve(first_ns)
-        if (start_ns is not None and start_ns > last_ns) or (end_ns is not None and end_ns <= first_ns):
-            raise ConfigError(
-                f"nothing was recorded in the time range; the mission lasts {(last_ns - first_ns) * 1e-9:.1f} s "
-                f"from {_date(first_ns)}"
-            )
-        return first_ns, last_ns, start_ns, end_ns
+        found: StampArray = np.sort(np.concatenate([*stamps, np.empty(0, np.int64)]))
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,6 +233,31 @@ class ClippedPoses:
         return self.source.poses_at(stamps_ns)
 
 
+def _time_range(time_range: TimeRange, stamps_ns: StampArray) -> tuple[int, int, int | None, int | None]:
+    """First and last stamp, and start and end of the range.
+
+    Raises:
+        ConfigError: No stamp lies in the range.
+    """
+    if stamps_ns.size == 0:
+        return 0, 0, None, None
+    first_ns, last_ns = int(stamps_ns[0]), int(stamps_ns[-1])
+    start_ns, end_ns = time_range.resolve(first_ns)
+    if (start_ns is not None and start_ns > last_ns) or (end_ns is not None and end_ns <= first_ns):
+        raise ConfigError(
+            f"nothing was recorded in the time range; the mission lasts {(last_ns - first_ns) * 1e-9:.1f} s "
+            f"from {_date(first_ns)}"
+        )
+    return first_ns, last_ns, start_ns, end_ns
+
+
+def _reported_ns(stamps_ns: StampArray, start_ns: int | None, end_ns: int | None) -> int:
+    """Time between stamps (N,) within the range, of silences only as much as snapshots are made in."""
+    low = 0 if start_ns is None else int(np.searchsorted(stamps_ns, start_ns))
+    high = stamps_ns.size if end_ns is None else int(np.searchsorted(stamps_ns, end_ns))
+    return int(np.minimum(np.diff(stamps_ns[low:high]), 2 * SILENCE_NS).sum())
+
+
 def open_recording(paths: Sequence[Path | str], options: MissionOptions | None = None) -> Mission:
     """Reads recordings, one after the other, as one mission.
 
@@ -226,9 +270,12 @@ def open_recording(paths: Sequence[Path | str], options: MissionOptions | None =
         ConfigError: The options name what is not there.
     """
     options = options or MissionOptions()
-    recordings = [open_one(Path(path)) for path in paths]
+    recordings = [open_one(Path(path), options.limits) for path in paths]
     names = _unique_names([recording.path for recording in recordings])
-    surveys = [take_survey(recording, name, options.clock) for recording, name in zip(recordings, names, strict=True)]
+    surveys = [
+        take_survey(recording, name, options.clock, options.limits)
+        for recording, name in zip(recordings, names, strict=True)
+    ]
     return Mission(sorted(surveys, key=lambda one: natural_key(one.name)), options)
 
 
@@ -284,8 +331,11 @@ def _shifts_ns(surveys: Sequence[Survey], align_start: bool) -> dict[str, int]:
     return {survey.name: common_ns - starts.get(survey.name, common_ns) for survey in surveys}
 
 
-def _malformed(source: str, topic: str, reasons: Counter[str]) -> list[Loss]:
-    return [Loss(source, "malformed message", topic, topic, count, reason) for reason, count in sorted(reasons.items())]
+def _refused(source: str, topic: TopicSurvey) -> list[Loss]:
+    return [
+        Loss(source, kind, topic.topic, topic.topic, count, reason)
+        for (kind, reason), count in sorted(topic.refused.items())
+    ]
 
 
 def _apart_in_time(
@@ -299,17 +349,33 @@ def _apart_in_time(
         if one.name in used and one.first_ns is not None and one.last_ns is not None
     ]
     spans.sort()
-    gaps = [
-        f"{after[2]} starts {_duration(after[0] - before[1])} after {before[2]} ends"
-        for before, after in pairwise(spans)
-        if after[0] > before[1]
-    ]
+    gaps = []
+    end_ns, last = spans[0][1:] if spans else (0, "")
+    for start_ns, stop_ns, name in spans[1:]:
+        if start_ns > end_ns:
+            gaps.append(f"{name} starts {_duration(start_ns - end_ns)} after {last} ends")
+        if stop_ns > end_ns:
+            end_ns, last = stop_ns, name
     if not gaps:
         return ()
     return (
         f"the recordings do not overlap in time: {'; '.join(gaps)}. "
         "Give --align-start to shift them to a common start.",
     )
+
+
+def _clocks_apart(robots: Sequence[MissionRobot]) -> list[str]:
+    """A warning for each robot whose maps' headers and the recorder's log tell different times."""
+    warnings = []
+    for robot in robots:
+        lag_ns = robot.found.topic.lag_ns
+        if abs(lag_ns) > SAME_CLOCK_NS:
+            where = "ahead of" if lag_ns > 0 else "behind"
+            warnings.append(
+                f"the clock of {robot.name} is {_duration(abs(lag_ns))} {where} the recorder's, by its maps' headers. "
+                "Robots are compared at equal header times; --clock log takes the recorder's times instead."
+            )
+    return warnings
 
 
 def _duration(span_ns: int) -> str:

@@ -24,10 +24,13 @@ def mission_copy(mission: Mission) -> InputCopy:
     return InputCopy(
         [
             CopySource(
-                open_one(survey.recording.path),  # a recording of its own: the mission reads at the same time
+                open_one(
+                    survey.recording.path, mission.limits
+                ),  # a recording of its own: the mission reads at the same time
                 _topics(roots[survey.name], owners),
                 _frames(mission, survey),
                 mission.shifts_ns[survey.name],
+                mission.shifts_ns[survey.name] + survey.clock_lag_ns,
             )
             for survey in mission.surveys
         ]

@@ -42,12 +42,17 @@ def mission_document(mission: Mission) -> Document:
     }
 
 
-def summary_document(mission: Mission, summary: Summary, world_frame: str = "world") -> Document:
+def summary_document(mission: Mission, summary: Summary, world_frame: str) -> Document:
     """The same and what the replay came to: snapshots, groups, placements, pairs."""
     document = mission_document(mission)
     for name, robot in document["robots"].items():
         robot.update(_outcome(summary.robots.get(name, RobotSummary())))
-    return document | {
+    return document | steps_document(summary, world_frame)
+
+
+def steps_document(summary: Summary, world_frame: str) -> Document:
+    """What the steps of a replay came to, whatever they were made from."""
+    return {
         "snapshots": summary.num_snapshots,
         "groups": [
             {"number": number, "frame": group_name(world_frame, number), "robots": list(members)}
@@ -71,7 +76,6 @@ def metadata_record(mission: Mission, version: str, options: Mapping[str, object
 
 def pair_document(pair: PairSummary) -> Document:
     """A pair under the names of PairFusion's fields."""
-    fusion = pair.fusion
     return {
         "a": pair.a,
         "b": pair.b,
@@ -80,7 +84,8 @@ def pair_document(pair: PairSummary) -> Document:
         "looks": pair.num_looks,
         "accepted_looks": pair.num_accepted,
         "joined_stamp_ns": pair.joined_ns,
-        **fusion_document(fusion),
+        **fusion_document(pair.fusion),
+        "reason": pair.reason,
     }
 
 
@@ -102,7 +107,7 @@ def fusion_document(fusion: PairFusion) -> Document:
         "T_a_b": _pose(fusion.T_target_source),
         "rival_T_a_b": _pose(fusion.rival),
         "covariance": None if fusion.covariance is None else fusion.covariance.ravel().tolist(),
-        "resolution_m": fusion.resolution_m,
+        "resolution_m": round(fusion.resolution_m, 9),
         "evidence": dict(fusion.evidence),
     }
 

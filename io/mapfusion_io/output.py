@@ -10,11 +10,14 @@ from typing import Self
 from mapfusion.errors import LogWriteError
 from mapfusion.grid import OccupancyGrid
 from mapfusion.steps import FusionStep
+from mapfusion.summary import Summary
+from mapfusion.version import __version__
 from mapfusion_io import encode
 from mapfusion_io.atomic import AtomicFile
 from mapfusion_io.attachments import map_yaml, summary_json, trinary_pgm
 from mapfusion_io.encode import Encoder
 from mapfusion_io.input_copy import InputCopy
+from mapfusion_io.mission_summary import steps_document
 from mapfusion_io.pair_report import groups_status, pair_status
 from mapfusion_io.topic_names import DIAGNOSTICS_TOPIC, TF_TOPIC, group_name, topic_names
 from mapfusion_io.topic_writer import LATCHED, STREAMED, Compression, OutgoingMessage, TopicWriter
@@ -31,7 +34,6 @@ class MissionWriter:
         world_frame: Frame of group 1; group k has `_k` after it.
         compression: Of the chunks.
         force: Replace a file that already has the name.
-        log_offset_ns: Log time minus stamp of the results: how late they come on the recordings' log clock.
         inputs: Copies of the recordings' channels that are to stand beside the results.
 
     Raises:
@@ -45,19 +47,18 @@ class MissionWriter:
         world_frame: str = "world",
         compression: Compression = "zstd",
         force: bool = False,
-        log_offset_ns: int = 0,
         inputs: InputCopy | None = None,
     ) -> None:
         self._file = AtomicFile(Path(path), force=force)
         self._topics: Mapping[str, str] = {}
         self._world_frame = world_frame
         self._compression: Compression = compression
-        self._log_offset_ns = log_offset_ns
         self._inputs = inputs
         self._encoder = Encoder()
         self._types = {name: self._encoder.message_type(name) for name in encode.TYPES}
         self._last_map: OccupancyGrid | None = None
         self._log_time_ns = 0
+        self._summary = Summary()
         self._finished = False
 
     def __enter__(self) -> Self:
@@ -84,10 +85,11 @@ class MissionWriter:
             LogReadError: A recording that is copied cannot be read.
             LogWriteError: The output cannot be written, or the snapshot's time lies outside what its format holds.
         """
-        self._log_time_ns = step.stamp_ns + self._log_offset_ns
+        self._log_time_ns = step.stamp_ns
         if not (0 <= self._log_time_ns < 2**63 and -(2**31) <= step.stamp_ns // 10**9 < 2**31):
             raise LogWriteError(f"a snapshot at {step.stamp_ns / 1e9} s cannot be written: ROS times end in 2038")
         self._topics = topic_names(step.map_frames)
+        self._summary.add(step)
         self._copy_inputs(self._log_time_ns)
         self._write_transforms(step)  # before what needs them
         self._write_maps(step)
@@ -102,6 +104,8 @@ class MissionWriter:
     def finish(self, summary: Mapping[str, object] | None = None, metadata: Mapping[str, str] | None = None) -> None:
         """Completes the content, with `summary` as the attachment summary.json and `metadata` as the record mapfusion.
 
+        Without them the summary is that of the steps, and the record tells the version.
+
         Raises:
             LogReadError: A recording that is copied cannot be read.
             LogWriteError: The output cannot be written.
@@ -110,8 +114,9 @@ class MissionWriter:
         if self._last_map is not None:
             self._out.attach("map.pgm", "image/x-portable-graymap", trinary_pgm(self._last_map), self._log_time_ns)
             self._out.attach("map.yaml", "application/yaml", map_yaml(self._last_map, "map.pgm"), self._log_time_ns)
-        self._out.attach("summary.json", "application/json", summary_json(summary or {}), self._log_time_ns)
-        self._out.add_metadata("mapfusion", metadata or {})
+        content = steps_document(self._summary, self._world_frame) if summary is None else summary
+        self._out.attach("summary.json", "application/json", summary_json(content), self._log_time_ns)
+        self._out.add_metadata("mapfusion", metadata or {"version": __version__})
         self._out.finish()
         self._finished = True
 

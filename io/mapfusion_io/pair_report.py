@@ -73,7 +73,11 @@ def pair_status(report: PairReport) -> Status:
     if report.placed:
         message = "joined" if fusion.accepted else f"joined, though not by this look: {fusion.reason}"
     else:
-        message = "not joined, though this look fits" if fusion.accepted else fusion.reason
+        message = (
+            "not joined yet: this look fits, and a second one has to find the same"
+            if fusion.accepted
+            else fusion.reason
+        )
     return Status(f"mapfusion/{report.a}/{report.b}", report.placed, message, values)
 
 

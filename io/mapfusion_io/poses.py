@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from mapfusion.errors import ConfigError
 from mapfusion.steps import natural_key
 from mapfusion.tf import TransformBuffer, TransformChain
+from mapfusion_io.read_errors import printable
 from mapfusion_io.robots import FoundRobots, MapTopic, UniqueFrames
 from mapfusion_io.survey import Survey, TopicSurvey
 
@@ -101,14 +102,16 @@ def _choose(robot: MapTopic, tree: TransformBuffer, found: FoundRobots, override
         chain = _moving(tree.chain(robot.map_frame, base))
         if chain is not None:
             return _through_frame(robot, base, chain)
-        misses.append(base)
+        static = tree.chain(robot.map_frame, base) is not None
+        misses.append(f"{base} (only static transforms, which say no time)" if static else base)
     for topic in _pose_topics(robot):
         chain = _moving(tree.chain(robot.map_frame, _pose_frame(robot.survey, topic.topic)))
         if chain is not None:
             return _by_topic(robot, topic, chain)
         misses.append(f"{topic.topic} in {', '.join(sorted(topic.frames))}")
-    tried = f"; not connected to {robot.map_frame}: {', '.join(misses)}" if misses else ""
-    return PoseChoice(None, f"no base frame in /tf and no pose or odometry topic in {robot.map_frame}{tried}")
+    if not misses:
+        return PoseChoice(None, f"no base frame in /tf and no pose or odometry topic in {robot.map_frame}")
+    return PoseChoice(None, f"nothing moving connects {robot.map_frame} to {', '.join(misses)}")
 
 
 def _moving(chain: TransformChain | None) -> TransformChain | None:
@@ -142,7 +145,7 @@ def _base_frames(robot: MapTopic, tree: TransformBuffer) -> list[str]:
         (
             frame
             for frame in tree.frames
-            if frame.rpartition("/")[2] in BASE_FRAMES and tree.chain(robot.map_frame, frame) is not None
+            if frame.rpartition("/")[2] in BASE_FRAMES and tree.are_connected(robot.map_frame, frame)
         ),
         key=natural_key,
     )[:1]
@@ -154,7 +157,7 @@ def _pose_topics(robot: MapTopic) -> list[TopicSurvey]:
         topic
         for topic in robot.survey.topics.values()
         if topic.role == "pose"
-        and topic.count > topic.num_malformed
+        and topic.first_ns is not None
         and not topic.undecodable
         and (not robot.namespace or topic.topic.strip("/").startswith(robot.namespace + "/"))
         and not any(word in topic.topic.lower() for word in _NO_POSE_WORDS)
@@ -165,11 +168,11 @@ def _pose_topics(robot: MapTopic) -> list[TopicSurvey]:
 def _from_given_topic(robot: MapTopic, name: str, tree: TransformBuffer) -> PoseChoice:
     topic = next((t for t in robot.survey.topics.values() if t.topic.strip("/") == name.strip("/")), None)
     if topic is None or topic.role != "pose":
-        what = "there is no such topic" if topic is None else f"{topic.schema_name} is no pose"
+        what = "there is no such topic" if topic is None else f"{printable(topic.schema_name)} is no pose"
         raise ConfigError(f"--pose {robot.robot}={name}: {what} in {robot.survey.name}")
     chain = _moving(tree.chain(robot.map_frame, _pose_frame(robot.survey, topic.topic)))
     if chain is None:
-        frames = ", ".join(sorted(topic.frames)) or "no frame"
+        frames = printable(", ".join(sorted(topic.frames)) or "no frame")
         raise ConfigError(f"--pose {robot.robot}={name}: its poses are in {frames}, not connected to {robot.map_frame}")
     return _by_topic(robot, topic, chain)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from mapfusion.errors import ConfigError
 from mapfusion.steps import natural_key
+from mapfusion_io.read_errors import printable
 from mapfusion_io.survey import Survey, TopicSurvey
 
 
@@ -90,27 +91,39 @@ class UniqueFrames:
         return bool(self.of_recording[survey.name] or self._namespace_prefix(survey, topic))
 
     def _namespace_prefix(self, survey: Survey, topic: str) -> str:
-        return self.of_namespace.get((survey.name, topic.strip("/").rpartition("/")[0]), "")
+        namespace = topic.strip("/").rpartition("/")[0]
+        while namespace:  # a namespace inside another one has the other's prefix
+            if (survey.name, namespace) in self.of_namespace:
+                return self.of_namespace[survey.name, namespace]
+            namespace = namespace.rpartition("/")[0]
+        return ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundRobots:
-    """The robots in natural order, how frames are made unique, and the map topics that are no robot's."""
+    """The robots in natural order, how frames are made unique, and the map topics that are no robot's.
+
+    Attributes:
+        over_limit: Those of `passed_over` that are one robot too many.
+    """
 
     robots: tuple[MapTopic, ...]
     unique_frames: UniqueFrames
     passed_over: tuple[PassedOver, ...]
+    over_limit: tuple[PassedOver, ...] = ()
 
 
-def find_robots(surveys: Sequence[Survey], overrides: RobotOverrides) -> FoundRobots:
+def find_robots(surveys: Sequence[Survey], overrides: RobotOverrides, max_robots: int = 100) -> FoundRobots:
     """A robot is a map topic, named after its namespace, or after its file where topics or frames of files collide.
 
     Raises:
         ConfigError: An override names a topic or a robot that is not there, or a name twice.
     """
     chosen, passed_over = _choose(surveys, overrides)
-    colliding = _colliding(chosen)
-    frames = _frame_names(surveys, chosen, colliding)
+    of_namespace = _namespace_prefixes(surveys, chosen)
+    colliding = _colliding(chosen, of_namespace)
+    of_recording = {survey.name: f"{survey.name}/" if survey.name in colliding else "" for survey in surveys}
+    frames = UniqueFrames(of_recording, of_namespace)
     named, replaced = _names(chosen, colliding, overrides)
     passed_over.extend(replaced)
     for robot in overrides.drop:
@@ -118,16 +131,20 @@ def find_robots(surveys: Sequence[Survey], overrides: RobotOverrides) -> FoundRo
             known = _listed(sorted(named, key=natural_key))
             raise ConfigError(f"--drop {robot}: there is no such robot; there are {known}")
     robots: list[MapTopic] = []
+    over_limit: list[PassedOver] = []
     for robot in sorted(named, key=natural_key):
         survey, topic = named[robot]
         if robot in overrides.drop:
             passed_over.append(_passed(survey, topic, "dropped by --drop"))
             continue
+        if len(robots) == max_robots:
+            over_limit.append(_passed(survey, topic, f"more than {max_robots} robots"))
+            continue
         map_frame = frames.unique(survey, topic.topic, _frame(topic))
         if any(map_frame == other.map_frame for other in robots):
             map_frame = f"{robot}/{map_frame}"
         robots.append(MapTopic(robot, survey, topic, _frame(topic), map_frame))
-    return FoundRobots(tuple(robots), frames, tuple(passed_over))
+    return FoundRobots(tuple(robots), frames, (*passed_over, *over_limit), tuple(over_limit))
 
 
 _Choice = tuple[Survey, TopicSurvey]
@@ -135,7 +152,10 @@ _Choice = tuple[Survey, TopicSurvey]
 
 def _choose(surveys: Sequence[Survey], overrides: RobotOverrides) -> tuple[list[_Choice], list[PassedOver]]:
     """One map topic for each namespace of each recording."""
-    explicit = {id(topic) for value in overrides.maps.values() for _, topic in [_override(surveys, value)]}
+    given = [id(_override(surveys, value)[1]) for value in overrides.maps.values()]
+    if len(set(given)) < len(given):
+        raise ConfigError("--robot: two names for one map topic")
+    explicit = set(given)
     chosen: list[_Choice] = []
     passed_over: list[PassedOver] = []
     for survey in surveys:
@@ -156,7 +176,7 @@ def _choose(surveys: Sequence[Survey], overrides: RobotOverrides) -> tuple[list[
             others = topics if namespace in taken else [topic for topic in topics if topic is not best]
             if namespace not in taken:
                 chosen.append((survey, best))
-            reason = f"{survey.name} has another map of this robot; use --robot NAME={{}} to take this one"
+            reason = "its namespace has another map; --robot NAME={} takes this one"
             passed_over.extend(_passed(survey, topic, reason.format(topic.topic)) for topic in others)
     return chosen, passed_over
 
@@ -173,28 +193,33 @@ def _no_robots_map(survey: Survey, topic: TopicSurvey) -> str:
     return ""
 
 
-def _colliding(chosen: Sequence[_Choice]) -> set[str]:
-    """Names of the recordings that share a map topic or a map frame with another recording."""
+def _colliding(chosen: Sequence[_Choice], of_namespace: Mapping[tuple[str, str], str]) -> set[str]:
+    """Names of the recordings with robots that share a map topic or any frame with another one."""
+    within = UniqueFrames({survey.name: "" for survey, _ in chosen}, of_namespace)
     used: dict[tuple[str, str], set[str]] = defaultdict(set)
     for survey, topic in chosen:
         used["topic", topic.topic].add(survey.name)
-        used["frame", _frame(topic)].add(survey.name)
+        for other in survey.topics.values():
+            frames = set(other.buffer.frames) | ({_frame(topic)} if other is topic else set())
+            for frame in frames - {other.topic}:
+                used["frame", within.unique(survey, other.topic, frame)].add(survey.name)
     return {name for names in used.values() if len(names) > 1 for name in names}
 
 
-def _frame_names(surveys: Sequence[Survey], chosen: Sequence[_Choice], colliding: set[str]) -> UniqueFrames:
-    of_namespace = {}
+def _namespace_prefixes(surveys: Sequence[Survey], chosen: Sequence[_Choice]) -> dict[tuple[str, str], str]:
+    """Prefixes of the frames of namespaces in which topics are namespaced and frames are not.
+
+    Those are namespaces with transforms of their own, and those of robots that share a map frame.
+    """
+    prefixes = {}
     for survey in surveys:
         mine = [topic for owner, topic in chosen if owner is survey]
         frames = Counter(_frame(topic) for topic in mine)
-        transform_namespaces = {topic.namespace for topic in survey.topics.values() if topic.role == "transform"}
-        for topic in mine:
-            shared = frames[_frame(topic)] > 1 or topic.namespace in transform_namespaces
-            if topic.namespace and shared and not _frame(topic).startswith(topic.namespace + "/"):
-                of_namespace[survey.name, topic.namespace] = topic.namespace + "/"
-    return UniqueFrames(
-        {survey.name: survey.name + "/" if survey.name in colliding else "" for survey in surveys}, of_namespace
-    )
+        shared = {topic.namespace for topic in mine if frames[_frame(topic)] > 1}
+        with_transforms = {topic.namespace for topic in survey.topics.values() if topic.role == "transform"}
+        for namespace in (shared | with_transforms) - {""}:
+            prefixes[survey.name, namespace] = namespace + "/"
+    return prefixes
 
 
 def _names(
@@ -214,6 +239,7 @@ def _names(
             name = survey.name if per_recording[survey.name] == 1 or not namespace else f"{survey.name}/{namespace}"
         else:
             name = namespace or survey.name
+        name = printable(name)  # it goes into tables, diagnostics and pages
         if name in overrides.maps:
             replaced.append(_passed(survey, topic, f"--robot {name}={overrides.maps[name]} takes its place"))
         else:
@@ -261,4 +287,4 @@ def _passed(survey: Survey, topic: TopicSurvey, reason: str) -> PassedOver:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names) if names else "none"
+    return ", ".join(map(printable, names)) if names else "none"

@@ -1,37 +1,39 @@
-"""ROS 1 bags and rosbag2 recordings, through the readers of rosbags. None of these containers carries a checksum."""
+"""The databases of rosbag2, through the reader of rosbags. They carry no checksum."""
 
 from __future__ import annotations
 
-import bz2
-from abc import ABC, abstractmethod
+import re
+import sqlite3
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import closing, suppress
 from pathlib import Path
 from urllib.parse import quote
 
-import lz4.frame
-from rosbags.interfaces import Connection, ConnectionExtRosbag1, ConnectionExtRosbag2, MessageDefinitionFormat
-from rosbags.rosbag1 import Reader as LibraryRosbag1
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader as LibrarySqlite3
 
+from mapfusion_io.definitions import MAX_DEFINITION_BYTES
 from mapfusion_io.interfaces import Attachment, Channel, Loss, RawMessage
 from mapfusion_io.mcap_channels import Keep, three_part_name
 from mapfusion_io.read_errors import os_error, read_error, words
 from mapfusion_io.read_limits import ReadLimits
 
 _DEFINITION_ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
+_REPAIR = "Repair it with `sqlite3 FILE .recover`."
+_COMPUTED = re.compile(r"\bVIRTUAL\b|\bGENERATED\b|\bAS\s*\(", re.IGNORECASE)
 
 
-_Library = LibraryRosbag1 | LibrarySqlite3
+class Sqlite3Recording:
+    """A .db3 file of rosbag2. Whatever rosbags raises leaves as a `LogReadError` or as a `Loss`.
 
+    Args:
+        path: The file.
+        limits: What the file may ask for.
+    """
 
-class _LibraryRecording(ABC):
-    """A `Recording` behind a reader of rosbags. Whatever that raises leaves as a `LogReadError` or as a `Loss`."""
-
-    container: str
-    _repair: str
+    container = "rosbag2-sqlite3"
     integrity_verifiable = False
 
     def __init__(self, path: Path, limits: ReadLimits | None = None) -> None:
@@ -59,7 +61,10 @@ class _LibraryRecording(ABC):
         self._losses = []
         library, channels = self._opened()
         try:
-            wanted = [item for item in library.connections if keep(channels[item.id])]
+            for item in library.connections:
+                if item.id not in channels:
+                    self._lose("over limit", "whole file", "", item.msgcount, "its topic is one too many or too large")
+            wanted = [item for item in library.connections if item.id in channels and keep(channels[item.id])]
             if wanted:
                 yield from self._delivered(library, wanted, channels)
         finally:
@@ -74,34 +79,31 @@ class _LibraryRecording(ABC):
         """None: the container has no such thing."""
         return iter(())
 
-    @abstractmethod
-    def _open(self) -> _Library:
-        """A reader for the file, open."""
-
-    @abstractmethod
-    def _described(self, connection: Connection) -> Channel:
-        """The channel that a connection is."""
-
-    def _opened(self) -> tuple[_Library, Mapping[int, Channel]]:
+    def _opened(self) -> tuple[LibrarySqlite3, Mapping[int, Channel]]:
         try:
             library = self._open()
-            return library, {item.id: self._channel(item) for item in library.connections}
+            named = [item for item in library.connections if self._is_within_limits(item)]
+            return library, {item.id: self._channel(item) for item in named[: self._limits.definitions]}
         except OSError as error:
             raise os_error(self._path, error) from error
         except Exception as error:  # the library lets errors of many kinds through
-            raise read_error(self._path, f"is damaged or was cut off ({words(error)})", self._repair) from error
+            raise read_error(self._path, f"is damaged or was cut off ({words(error)})", _REPAIR) from error
+
+    def _is_within_limits(self, connection: Connection) -> bool:
+        if not (isinstance(connection.topic, str) and isinstance(connection.msgtype, str)):
+            raise TypeError("a topic or type that is no text")
+        longest = max(len(connection.topic), len(connection.msgtype))
+        return longest <= self._limits.name_characters and len(connection.msgdef.data) <= MAX_DEFINITION_BYTES
 
     def _channel(self, connection: Connection) -> Channel:
         """The same object for the same connection in every pass."""
         key = (connection.id, connection.topic, connection.msgtype)
-        if not (isinstance(connection.topic, str) and isinstance(connection.msgtype, str)):
-            raise TypeError("a topic or type that is no text")
         if key not in self._channels:
             self._channels[key] = self._described(connection)
         return self._channels[key]
 
     def _delivered(
-        self, library: _Library, wanted: Collection[Connection], channels: Mapping[int, Channel]
+        self, library: LibrarySqlite3, wanted: Collection[Connection], channels: Mapping[int, Channel]
     ) -> Iterator[RawMessage]:
         left = Counter({item.id: item.msgcount for item in wanted})
         reason = "the container's own index counts more"
@@ -121,46 +123,11 @@ class _LibraryRecording(ABC):
     def _lose(self, kind: str, where: str, topic: str, count: int | None, detail: str) -> None:
         self._losses.append(Loss(self._path.name, kind, where, topic, count, detail))
 
-
-class Rosbag1Recording(_LibraryRecording):
-    """A ROS 1 bag, version 2.0."""
-
-    container = "rosbag1"
-    _repair = "Repair it with `rosbag reindex`."
-
-    def _open(self) -> _Library:
-        library = LibraryRosbag1(self._path)
-        library.open()
-        for offset, chunk in library.chunks.items():
-            library.chunks[offset] = chunk._replace(decompressor=self._bounded(chunk.decompressor))
-        return library
-
-    def _bounded(self, decompressor: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
-        """The decompressor of a chunk, with a limit to what comes out."""
-        limit = self._limits.record_bytes
-        if decompressor is bz2.decompress:
-            return lambda data: _within(limit, bz2.BZ2Decompressor().decompress(data, max_length=limit + 1))
-        if decompressor is lz4.frame.decompress:
-            return lambda data: _within(limit, lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limit + 1))
-        return decompressor
-
-    def _described(self, connection: Connection) -> Channel:
-        metadata = {"md5sum": connection.digest}
-        if isinstance(connection.ext, ConnectionExtRosbag1):
-            metadata["latching"] = "1" if connection.ext.latching else "0"
-        definition = connection.msgdef.data.encode()
-        return Channel(connection.topic, connection.msgtype, "ros1msg", definition, "ros1", metadata)
-
-
-class Sqlite3Recording(_LibraryRecording):
-    """A .db3 file of rosbag2."""
-
-    container = "rosbag2-sqlite3"
-    _repair = "Repair it with `sqlite3 FILE .recover`."
-
-    def _open(self) -> _Library:
+    def _open(self) -> LibrarySqlite3:
         # rosbags puts the path into a URI as it stands, where % ? # have a meaning
-        library = LibrarySqlite3(Path(quote(str(self._path.absolute()))))
+        quoted = quote(str(self._path.absolute()))
+        _refuse_computed_tables(quoted)
+        library = LibrarySqlite3(Path(quoted))
         library.open()
         ownerless = library.metadata.message_count - sum(item.msgcount for item in library.connections)
         if ownerless > 0:
@@ -184,7 +151,13 @@ class Sqlite3Recording(_LibraryRecording):
         return Channel(connection.topic, name, encoding, definition, message_encoding, metadata)
 
 
-def _within(limit: int, data: bytes) -> bytes:
-    if len(data) > limit:
-        raise ValueError(f"a chunk of more than {limit} bytes")
-    return data
+def _refuse_computed_tables(quoted_path: str) -> None:
+    """Nothing in the database may be worked out while it is read: such a table could be without end.
+
+    Raises:
+        ValueError: A view, a virtual table or a computed column.
+    """
+    with closing(sqlite3.connect(f"file:{quoted_path}?immutable=1", uri=True)) as database:
+        for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
+            if kind == "view" or (kind == "table" and _COMPUTED.search(str(sql))):
+                raise ValueError(f"{name} is no plain table")

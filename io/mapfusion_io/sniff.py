@@ -9,8 +9,9 @@ from mapfusion_io.mcap_reader import McapRecording
 from mapfusion_io.mcap_records import MAGIC as MCAP_MAGIC
 from mapfusion_io.read_errors import os_error, read_error
 from mapfusion_io.read_limits import ReadLimits
+from mapfusion_io.rosbag1_reader import Rosbag1Recording
 from mapfusion_io.rosbag2_folder import FolderRecording
-from mapfusion_io.rosbag_reader import Rosbag1Recording, Sqlite3Recording
+from mapfusion_io.rosbag_reader import Sqlite3Recording
 
 ROSBAG1_MAGIC = b"#ROSBAG V2.0"
 SQLITE3_MAGIC = b"SQLite format 3\0"
@@ -56,8 +57,6 @@ def open_file(path: Path, limits: ReadLimits | None = None) -> Recording:
     if first.startswith(SQLITE3_MAGIC):
         return Sqlite3Recording(path, limits)
     if first.startswith(ROSBAG1_MAGIC):
-        if path.suffix == ".active":
-            raise read_error(path, "is a bag that was never closed", "Repair it with `rosbag reindex`.")
         return Rosbag1Recording(path, limits)
     if not first:
         raise read_error(path, "is empty", "The recorder wrote nothing: check the disk it was recorded to.")

@@ -22,7 +22,7 @@ from mapfusion.pairwise.surface import NOT_KNOWN, Floats, Indices, SurfaceField
 
 TOLERANCES_CELLS = (1.5, 3.0, 6.0)
 DEPENDENT_CELLS = 12.0
-"""Length of wall over which cells agree or disagree together. Source: autocorrelation of real and simulated maps."""
+"""Length of wall over which neighbouring cells agree or disagree together, an estimate."""
 DEEP_TOLERANCES = 2.0
 """A wall this many tolerances inside the other map's free space contradicts it."""
 MIN_DEEP_CHANCE = 0.2

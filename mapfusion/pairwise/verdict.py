@@ -32,20 +32,24 @@ KNOWN_DISTINCTNESS = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MAX_SLACK_DEGREES = 2.0
 """Most rotation that may be open where the maps, bent or small, are explained as well by neighbouring alignments."""
+ENOUGH_LINES = 32.0
+"""More walls than this say nothing more: large maps have many, wherever they lie."""
+ENOUGH_DISTINCTNESS = 4.0
+"""A rival with less than 1 / this of the evidence is none."""
 MIN_CONFIDENCE = 0.9
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
 """Cells are no points: walls are not placed better than this."""
 
-BIAS = -9.27
+BIAS = -11.85
 WEIGHT_EVIDENCE = 0.418
 WEIGHT_DISTINCTNESS = 4.146
 WEIGHT_AGREEMENT = 3.39
 WEIGHT_CONTRADICTION = -4.31
 WEIGHT_CRISP_CONTRADICTION = -6.0
 WEIGHT_OVERLAP = 1.017
-WEIGHT_LINES = 1.174
+WEIGHT_LINES = 2.0
 """Weights of the logistic model of `confidence`; benchmarks/RESULTS.md says what they were fitted on."""
 
 
@@ -105,10 +109,10 @@ def judge(
 
 
 def _distinctness(finding: Finding) -> float:
-    """Net evidence over that of the best different alignment, at most 4: beyond, more says nothing more."""
+    """Net evidence over that of the best different alignment, at most ENOUGH_DISTINCTNESS."""
     if finding.rival_net is None:
         return KNOWN_DISTINCTNESS
-    return min(max(finding.figures["net"], 1e-9) / max(finding.rival_net, 1e-9), 4.0)
+    return min(max(finding.figures["net"], 1e-9) / max(finding.rival_net, 1e-9), ENOUGH_DISTINCTNESS)
 
 
 def _confidence(finding: Finding) -> float:
@@ -124,7 +128,7 @@ def _confidence(finding: Finding) -> float:
         + WEIGHT_CONTRADICTION * figures["contradiction"]
         + WEIGHT_CRISP_CONTRADICTION * figures["contradiction_fine"] * crispness**2
         + WEIGHT_OVERLAP * math.log(min(max(figures["mutual_ratio"], 0.01), 0.6))
-        + WEIGHT_LINES * math.log(max(figures["lines"], 1.0))
+        + WEIGHT_LINES * math.log(min(max(figures["lines"], 1.0), ENOUGH_LINES))
     )
     return 1.0 / (1.0 + math.exp(-x))
 

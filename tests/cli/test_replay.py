@@ -122,7 +122,12 @@ def test_names_frames_and_times_can_be_chosen(mapfusion: Command, recording: Pat
         (["{recording}", "{out}", "--drop", "robot9"], 2, "there is no such robot"),
         (["{recording}", "{out}", "--reference", "robot9"], 2, "there is no such robot"),
         (["{recording}", "{out}", "--world-frame", "robot1/odom"], 2, "already have a frame"),
-        (["{recording}", "{out}", "--interval", "0"], 2, "interval_s"),
+        (["{recording}", "{out}", "--prior", "robot9=0,0,0"], 2, "there is no such robot"),
+        (["{recording}", "{out}", "--prior", "robot1=0,0"], 2, "X,Y,YAW"),
+        (["{recording}", "{out}", "--prior", "robot1=0,0,0,1"], 2, "SIGMA_DEG"),
+        (["{recording}", "{out}", "--never", "robot1,robot9"], 2, "there is no such robot"),
+        (["{recording}", "{out}", "--never", "robot1"], 2, "two robots"),
+        (["{recording}", "{out}", "--interval", "0"], 2, "--interval must"),
         (["{recording}", "{out}", "--blend", "soup"], 2, "soup"),
         (["{recording}", "{out}", "--robot", "robot1"], 2, "NAME=VALUE"),
         (["{recording}", "{out}", "--start", "noon"], 2, "--start noon"),
@@ -150,6 +155,17 @@ def test_mistakes_get_one_clear_line_and_nothing_is_written(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["existing.mcap", "text.mcap"]
     assert (tmp_path / "existing.mcap").read_text() == "precious"
     assert recording.read_bytes() == before
+
+
+def test_known_starts_and_pairs_kept_apart(mapfusion: Command, recording: Path, tmp_path: Path) -> None:
+    start = ("--prior", "robot2=3,4,0.5", "--json")
+    tied = json.loads(mapfusion("replay", recording, tmp_path / "tied.mcap", *start).out)
+    placed = tied["robots"]["robot2"]["T_group_map"]
+    assert (placed["x_m"], placed["y_m"]) == pytest.approx((3.0, 4.0), abs=1e-3)
+    apart = json.loads(
+        mapfusion("replay", recording, tmp_path / "apart.mcap", "--never", "robot1,robot2", "--json").out
+    )
+    assert apart["groups"] == []
 
 
 def test_losses_end_in_3_and_with_strict_in_1(mapfusion: Command, recording: Path, tmp_path: Path) -> None:

@@ -118,7 +118,7 @@ def test_a_join_outlasts_doubt_and_a_single_contradiction() -> None:
 def test_contradictions_in_a_row_end_a_join_and_say_why() -> None:
     joins = joined()
     assert look(joins, snapshot(second=10.0, a=2, b=1), REFUSED) == [""]
-    assert look(joins, snapshot(second=11.0, a=3, b=1), REFUSED) == ["a and b part: walls disagree"]
+    assert look(joins, snapshot(second=11.0, a=3, b=1), REFUSED) == ["the join of a and b ends: walls disagree"]
     assert not joins.held
     assert joins.due(snapshot(a=4, b=1), {}) == [Look(AB, None)]
 

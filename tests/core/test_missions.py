@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from mapfusion.config import ReplayConfig
 from mapfusion.grid import Mask
 from mapfusion.pairwise.agreement import agreement
 from mapfusion.pipeline import replay
@@ -78,7 +77,7 @@ def test_the_merged_map_has_the_walls_of_the_place_and_no_others() -> None:
     config = MissionConfig(seed=2, num_robots=2, duration_s=60.0, overlap=0.7)
     mission = simulate_mission(config)
     recorded = list(mission_events(mission))
-    (last,) = replay(recorded, ReplayConfig(final_only=True))
+    *_, last = replay(recorded)
     assert set(last.placements) == {"robot1", "robot2"}
     own = {event.robot: event.grid for event in recorded if isinstance(event, GridEvent)}
     T_world = {robot.name: robot.T_world_map for robot in mission.robots}

@@ -124,13 +124,14 @@ def mcap_bytes(messages: Sequence[Sent], profile: str = "ros2", **options: Any) 
     file = BytesIO()
     writer: Any = Writer(file, **{"chunk_size": 1000, "compression": CompressionType.ZSTD, **options})
     writer.start(profile=profile)
-    channels: dict[str, int] = {}
+    channels: dict[tuple[str, str], int] = {}
     for sent in messages:
-        if sent.topic not in channels:
+        key = sent.topic, sent.type_name
+        if key not in channels:
             definition = HUMBLE.generate_msgdef(sent.type_name, ros_version=2)[0].encode()
             schema = writer.register_schema(sent.type_name, "ros2msg", definition)
-            channels[sent.topic] = writer.register_channel(sent.topic, "cdr", schema)
-        writer.add_message(channels[sent.topic], sent.log_time_ns, sent.data, sent.log_time_ns)
+            channels[key] = writer.register_channel(sent.topic, "cdr", schema)
+        writer.add_message(channels[key], sent.log_time_ns, sent.data, sent.log_time_ns)
     writer.finish()
     return file.getvalue()
 
@@ -149,8 +150,11 @@ def write_rosbag1(
     path: Path,
     messages: Sequence[Sent],
     compression: Rosbag1Writer.CompressionFormat | None = None,
+    chunk_bytes: int | None = None,
 ) -> None:
     writer = Rosbag1Writer(path)
+    if chunk_bytes is not None:
+        writer.chunk_threshold = chunk_bytes
     if compression:
         writer.set_compression(compression)
     with writer:

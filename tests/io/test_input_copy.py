@@ -92,6 +92,7 @@ def source(
         lambda channel: channel.topic,
         lambda channel: (lambda frame: f"{prefix}/{frame}") if prefix else None,
         shift_ns,
+        shift_ns,
     )
 
 

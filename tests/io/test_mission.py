@@ -5,8 +5,9 @@ from mapfusion.errors import ConfigError, MissionError
 from mapfusion.steps import GridEvent, RobotEvent
 from mapfusion_io.interfaces import Loss, RawMessage
 from mapfusion_io.mission import Mission, MissionOptions
+from mapfusion_io.survey import Survey, take_survey
 from mapfusion_io.time_range import TimeRange
-from tests.io.fake_recordings import CELLS, Sender, ns, surveyed
+from tests.io.fake_recordings import CELLS, FakeRecording, Sender, ns, surveyed
 
 
 def mission(*messages: RawMessage, **options: object) -> Mission:
@@ -148,3 +149,26 @@ def test_fewer_than_two_robots_are_no_mission() -> None:
         mission(send.grid("/a/map", 0.0, "a/map")).require_robots()
     with pytest.raises(MissionError, match="/chatter"):
         mission(send.text("/chatter", 0.0)).require_robots()
+
+
+def test_a_recording_that_covers_two_others_leaves_no_gap() -> None:
+    def covering(name: str, *times_s: float) -> Survey:
+        send = Sender()
+        return surveyed(name, *(send.grid(f"/{name}/map", time_s, f"{name}/map") for time_s in times_s))
+
+    surveys = [covering("a", 0.0, 100.0), covering("b", 10.0, 22.0), covering("c", 50.0, 62.0)]
+    assert Mission(surveys, MissionOptions()).warnings == ()
+
+
+def test_a_clock_that_differs_from_the_recorders_is_said() -> None:
+    send = Sender()
+    messages = [
+        *(send.grid("/a/map", time_s, "a/map") for time_s in (20.0, 40.0)),
+        *(send.grid("/b/map", time_s, "b/map", stamp_s=time_s + 37.0) for time_s in (21.0, 41.0)),
+    ]
+    (warning,) = mission(*messages).warnings
+    assert "the clock of b is 37.0 s ahead of the recorder's" in warning
+    assert "--clock log" in warning
+    by_log = Mission([take_survey(FakeRecording("run.mcap", messages), "run", "log")], MissionOptions(clock="log"))
+    assert by_log.warnings == ()
+    assert grids(by_log) == [("a", 20.0), ("b", 21.0), ("a", 40.0), ("b", 41.0)]

@@ -247,7 +247,7 @@ def test_later_groups_have_their_own_frames_and_topics(tmp_path: Path) -> None:
     step = FusionStep(
         START_NS, True, placements, poses, (), {1: make_grid(), 2: make_grid(20)}, paths=paths, map_frames=MAP_FRAMES
     )
-    write_mission(tmp_path / "out.mcap", [step], world_frame="earth", log_offset_ns=250_000_000)
+    write_mission(tmp_path / "out.mcap", [step], world_frame="earth")
     content = read(tmp_path / "out.mcap")
     parents = {t.child_frame_id: t.header.frame_id for t in content.messages["/tf"][0][1].transforms}
     assert parents == {"robot1/map": "earth", "robot2/map": "earth_2", "robot3/map": "earth_2"}
@@ -260,7 +260,7 @@ def test_later_groups_have_their_own_frames_and_topics(tmp_path: Path) -> None:
         "/fused_2/robot3/path",
     }
     ((log_time_ns, grid),) = content.messages["/fused_2/map"]
-    assert (grid.header.frame_id, stamp_ns(grid), log_time_ns) == ("earth_2", START_NS, START_NS + 250_000_000)
+    assert (grid.header.frame_id, stamp_ns(grid), log_time_ns) == ("earth_2", START_NS, START_NS)
     assert content.attachments["map.pgm"].startswith(b"P5\n40 30\n")
 
 

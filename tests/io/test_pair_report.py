@@ -19,7 +19,7 @@ from tests.io.fake_steps import START_NS, make_acceptance, make_pair, make_refus
     [
         (make_acceptance(), True, True, "joined"),
         (make_refusal(), True, True, "joined, though not by this look: only 3 matches, 10 are needed"),
-        (make_acceptance(), False, False, "not joined, though this look fits"),
+        (make_acceptance(), False, False, "not joined yet: this look fits, and a second one has to find the same"),
         (make_refusal(), False, False, "only 3 matches, 10 are needed"),
     ],
 )

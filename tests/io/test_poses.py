@@ -96,7 +96,7 @@ def test_a_pose_that_is_not_connected_is_no_pose_and_the_reason_says_so() -> Non
     one = surveyed("run", send.grid("/a/map", 0.0, "a/map"), send.odometry("/a/odom", 0.0, "wheel"))
     choice = chosen(one)["a"]
     assert choice.source is None
-    assert "not connected to a/map: /a/odom in wheel" in choice.origin
+    assert choice.origin == "nothing moving connects a/map to /a/odom in wheel"
     with pytest.raises(ConfigError, match="not connected"):
         chosen(one, topics={"a": "/a/odom"})
 
@@ -115,3 +115,19 @@ def test_overrides_for_a_robot_that_is_not_there(option: str) -> None:
     one = surveyed("run", Sender().grid("/a/map", 0.0, "a/map"))
     with pytest.raises(ConfigError, match="there are a"):
         chosen(one, **{option: {"z": "x"}})
+
+
+@pytest.mark.parametrize("map_topic", ["/a/map", "/a/slam/map"])
+def test_namespaced_transforms_with_bare_frames_under_a_prefixed_map(map_topic: str) -> None:
+    send = Sender()
+    one = surveyed(
+        "run", send.grid(map_topic, 0.0, "a/map"), *moving(send, "/a/tf", ("a/map", "odom"), ("odom", "base_link"))
+    )
+    (choice,) = chosen(one).values()
+    assert choice.origin == "/tf:a/map.a/base_link"
+
+
+def test_transforms_that_say_no_time_are_no_pose() -> None:
+    send = Sender()
+    one = surveyed("run", send.grid("/a/map", 0.0, "a/map"), *moving(send, "/tf_static", ("a/map", "a/base_link")))
+    assert "only static transforms" in chosen(one)["a"].origin

@@ -89,7 +89,7 @@ def test_costmaps_and_second_maps_are_passed_over() -> None:
     found = find_robots([one], RobotOverrides())
     assert names(found) == [("a", "/a/map", "a/map")]
     assert reasons(found)["/a/global_costmap/costmap"] == "a costmap, not a map"
-    assert "another map of this robot" in reasons(found)["/a/map_raw"]
+    assert "its namespace has another map" in reasons(found)["/a/map_raw"]
 
 
 def test_overrides_add_rename_and_replace() -> None:
@@ -133,3 +133,24 @@ def test_drop_leaves_a_robot_out_and_knows_the_names() -> None:
     assert reasons(found) == {"/a/map": "dropped by --drop"}
     with pytest.raises(ConfigError, match="there are a, b"):
         find_robots([one], RobotOverrides(drop=["c"]))
+
+
+def test_files_that_share_any_frame_collide() -> None:
+    files = []
+    for name in ("r1", "r2"):
+        send = Sender()
+        files.append(
+            surveyed(
+                f"file_{name}",
+                send.grid(f"/{name}/map", 0.0, f"{name}/map"),
+                send.transforms("/tf", 0.0, (f"{name}/map", "odom"), ("odom", "base_link")),
+            )
+        )
+    found = find_robots(files, RobotOverrides())
+    assert names(found) == [("file_r1", "/r1/map", "file_r1/r1/map"), ("file_r2", "/r2/map", "file_r2/r2/map")]
+
+
+def test_two_names_for_one_topic() -> None:
+    one = surveyed("run", Sender().grid("/map", 0.0))
+    with pytest.raises(ConfigError, match="two names"):
+        find_robots([one], RobotOverrides({"a": "/map", "b": "/map"}))

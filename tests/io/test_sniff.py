@@ -75,7 +75,6 @@ def test_folder_with_and_without_metadata(tmp_path: Path, storage: StoragePlugin
         ("notes.txt", b"hello, this is text", "not a recording"),
         ("a.mcap.zst", b"\x28\xb5\x2f\xfd....", "zstd -d"),
         ("a.bag.gz", b"\x1f\x8b\x08....", "gunzip"),
-        ("a.bag.active", b"#ROSBAG V2.0\n....", "rosbag reindex"),
         ("a.bag", b"#ROSBAG V1.2\n....", "old version"),
         ("line\nbreak\x1b[31m.txt", b"text", r"line\nbreak\x1b[31m.txt"),
     ],

@@ -81,7 +81,7 @@ def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
 
 @pytest.mark.parametrize(
     "better",
-    [{"net": 600.0}, {"contradiction": 0.0}, {"mutual_ratio": 0.3}, {"lines": 40.0}, {"rival_net": 20.0}],
+    [{"net": 600.0}, {"contradiction": 0.0}, {"mutual_ratio": 0.3}, {"lines": 30.0}, {"rival_net": 20.0}],
 )
 def test_confidence_grows_with_every_kind_of_evidence(place: PreparedMap, better: dict[str, float]) -> None:
     worse = {"net": 60.0, "contradiction": 0.1, "mutual_ratio": 0.2, "lines": 20.0, "rival_net": 25.0}

@@ -1,0 +1,66 @@
+"""Killing the command while it runs."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from tests.reliability.running import read_whole
+
+LAUNCH = "import sys; from mapfusion_cli.main import run; run(sys.argv[1:])"
+
+
+def started(*arguments: object) -> subprocess.Popen[str]:
+    """`mapfusion` in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-c", LAUNCH, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def whole_run_s(recording: Path, output: Path) -> float:
+    """How long a run takes that nobody disturbs."""
+    began_s = time.perf_counter()
+    with started("replay", recording, output, "-q", "--force") as process:
+        assert process.wait() == 0
+    return time.perf_counter() - began_s
+
+
+def complaints(recording: Path, folder: Path, count: int, seed: int) -> tuple[list[str], int]:
+    """Kills runs at random times, by SIGKILL, SIGTERM and SIGINT by turns.
+
+    Returns:
+        What was wrong, and how many runs were killed before their end.
+    """
+    chosen = random.Random(seed)
+    output = folder / "fused.mcap"
+    lasts_s = whole_run_s(recording, output)
+    wrong, num_killed = [], 0
+    for number in range(count):
+        sent = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)[number % 3]
+        with started("replay", recording, output, "-q", "--force") as process:
+            time.sleep(chosen.uniform(0.0, lasts_s))
+            process.send_signal(sent)
+            _, err = process.communicate()
+        num_killed += process.returncode != 0
+        left = [item.name for item in folder.glob(f".*-{process.pid}.partial")]
+        if left and sent is not signal.SIGKILL:
+            wrong.append(f"{sent.name}: left {left}")
+        if "Traceback" in err and sent is not signal.SIGINT:
+            wrong.append(f"{sent.name}: {err}")
+        try:
+            read_whole(output)
+        except Exception as error:
+            wrong.append(f"{sent.name}: the output is not whole: {error!r}")
+    whole_run_s(recording, output)
+    left = [item.name for item in folder.glob(".*.partial")]
+    if left:
+        wrong.append(f"not removed by the next run: {left}")
+    return wrong, num_killed
