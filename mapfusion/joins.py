@@ -46,10 +46,12 @@ class Look(NamedTuple):
     Attributes:
         pair: The robots, the fusion's target first.
         T_a_b: The transform to verify, None for a search.
+        found: The search that found the transform, where it was one.
     """
 
     pair: Pair
     T_a_b: SE2 | None
+    found: PairFusion | None = None
 
 
 @dataclass(slots=True)
@@ -63,6 +65,7 @@ class _PairState:
         searched_cells: Known cells of the two grids when it was searched last.
         candidate: An accepted fusion that waits for confirmation, and since when.
         edge: The join, while it holds.
+        found: The search that led to it.
         contradictions: Looks in a row that contradicted it.
         is_disputed: Whether the place that other robots give the two does not look right between them.
     """
@@ -73,6 +76,7 @@ class _PairState:
     searched_cells: tuple[int, int] | None = None
     candidate: tuple[PairFusion, int] | None = None
     edge: Edge | None = None
+    found: PairFusion | None = None
     contradictions: int = 0
     is_disputed: bool = False
 
@@ -108,7 +112,7 @@ class Joins:
             if T_a_b is not None and not (state.is_disputed and growth > GROWTH):
                 is_wanted = pair in held or min(num_ties[robot] for robot in pair) < NUM_TIES
                 if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
-                    looks.append(Look(pair, T_a_b))
+                    looks.append(Look(pair, T_a_b, state.found))
             elif snapshot.is_last or state.candidate is not None or growth > GROWTH:
                 searches.append((growth, Look(pair, None)))
         if not snapshot.is_last:  # the others stay due
@@ -161,7 +165,7 @@ class Joins:
         return ""
 
     def _join(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
-        state.candidate, state.contradictions = None, 0
+        state.candidate, state.contradictions, state.found = None, 0, fusion
         state.edge = _edge(pair, fusion, snapshot)
         return f"{pair[0]} and {pair[1]} join"
 

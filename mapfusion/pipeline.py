@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
@@ -91,7 +92,7 @@ def _look_at_pairs(
     def take(look: Look) -> PairFusion:
         a, b = (snapshot.grids[robot].grid for robot in look.pair)
         if look.T_a_b is not None:
-            return fuser.verify(a, b, look.T_a_b)
+            return _with_matches(fuser.verify(a, b, look.T_a_b), look.found)
         too_old = _too_old(look.pair, snapshot, config)
         if too_old is not None:
             return too_old
@@ -104,6 +105,13 @@ def _look_at_pairs(
     fusions = {look.pair: fusion for look, fusion in zip(looks, each(take, looks), strict=True)}
     changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks] + joins.settle(snapshot)
     return fusions, [change for change in changes if change]
+
+
+def _with_matches(verified: PairFusion, found: PairFusion | None) -> PairFusion:
+    """A verified transform with the matches that it was found by: verifying looks at walls and not at features."""
+    if found is None:
+        return verified
+    return replace(verified, num_matches=found.num_matches, num_inliers=found.num_inliers, scale=found.scale)
 
 
 def _contradicted(pair: Pair, misfit: Misfit) -> str:

@@ -101,9 +101,9 @@ def joined() -> Joins:
 def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
     joins = joined()
     assert joins.due(snapshot(second=1.0, a=2, b=1), {}) == []
-    assert joins.due(snapshot(second=1.0, known=11, a=2, b=1), {}) == [Look(AB, T)]
+    assert joins.due(snapshot(second=1.0, known=11, a=2, b=1), {}) == [Look(AB, T, CERTAIN)]
     at = snapshot(second=10.0, a=2, b=1)
-    assert joins.due(at, {}) == [Look(AB, T)]
+    assert joins.due(at, {}) == [Look(AB, T, CERTAIN)]
     look(joins, at, replace(ACCEPTED, T_target_source=SE2(1.1, 2.0, 0.3)))
     assert joins.held[AB].T_a_b == SE2(1.1, 2.0, 0.3)
 
