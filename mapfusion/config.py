@@ -72,6 +72,7 @@ class ReplayConfig:
         resolution_m: Cell size of merged maps; None: the finest of the group's maps.
         priors: Known starts, by robot.
         never: Pairs of robots that must not come into one group.
+        max_merged_cells: A merged map of more cells is not made.
         start_ns: No snapshot before this time; grids from before it still count. None: from the first stamp.
         jobs: Threads that fuse pairs, >= 1. Changes the time, never the result.
         fusion: How two maps are fused.
@@ -85,6 +86,7 @@ class ReplayConfig:
     resolution_m: float | None = None
     priors: Mapping[str, Prior] = field(default_factory=dict)
     never: frozenset[frozenset[str]] = frozenset()
+    max_merged_cells: int = 25_000_000
     start_ns: int | None = None
     jobs: int = 1
     fusion: FusionConfig = field(default_factory=FusionConfig)
@@ -100,5 +102,7 @@ class ReplayConfig:
             raise ValueError(f"blend must be 'log-odds', 'max' or 'paper', not {self.blend!r}")
         if self.resolution_m is not None and not (math.isfinite(self.resolution_m) and self.resolution_m > 0.0):
             raise ValueError(f"resolution_m must be > 0 m, not {self.resolution_m}")
+        if self.max_merged_cells < 1:
+            raise ValueError(f"max_merged_cells must be >= 1, not {self.max_merged_cells}")
         if self.jobs < 1:
             raise ValueError(f"jobs must be >= 1, not {self.jobs}")

@@ -21,6 +21,10 @@ where two maps lie a cell apart, the free cell beside one map's wall must not er
 of inverse sensor models, Thrun, Burgard, Fox, Probabilistic Robotics, 2005, ch. 9."""
 
 
+class MergedMapTooLargeError(ValueError):
+    """The merged map would have more cells than it may: robots placed far apart, or a map of many tiny cells."""
+
+
 def merge_grids(
     grids: Sequence[OccupancyGrid],
     T_world_frames: Sequence[SE2],
@@ -28,6 +32,7 @@ def merge_grids(
     resolution_m: float | None,
     stamp_ns: int,
     since_ns: Sequence[StampArray] | None = None,
+    max_cells: int = 100_000_000,
 ) -> OccupancyGrid:
     """Brings grids into one frame and combines their cells by evidence.
 
@@ -40,6 +45,10 @@ def merge_grids(
         stamp_ns: Stamp of the result.
         since_ns: Since when each cell of each grid is as it is; with it, things that moved fade from the result of
             `log-odds`.
+        max_cells: Most cells of the result.
+
+    Raises:
+        MergedMapTooLargeError: The result would have more.
 
     Returns:
         A grid, without rotation, whose corner is a multiple of its cell size; a cell is known where a map knows it, and
@@ -52,6 +61,8 @@ def merge_grids(
     grids, placed = [grids[index] for index in known], [T_world_frames[index] for index in known]
     parts = [crop_to_known(resample(grid, finest) if grid.resolution_m < finest else grid) for grid in grids]
     col0, row0, width, height = _canvas(parts, placed, finest)
+    if width * height > max_cells:
+        raise MergedMapTooLargeError(f"a merged map of {width} x {height} cells, more than {max_cells}")
     T_world_merged = SE2(col0 * finest, row0 * finest, 0.0)
     layers = [
         _warp(part, T_world_merged.inverse() @ T @ part.T_frame_grid, finest, (height, width), blend == "paper")

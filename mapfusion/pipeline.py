@@ -14,7 +14,7 @@ from mapfusion.fusion import PairFuser
 from mapfusion.grid import OccupancyGrid
 from mapfusion.groups import Groups
 from mapfusion.joins import Joins, Look
-from mapfusion.merge import merge_grids
+from mapfusion.merge import MergedMapTooLargeError, merge_grids
 from mapfusion.posegraph import Misfit, Pair, separated
 from mapfusion.priors import Priors, checked
 from mapfusion.result import PairFusion
@@ -50,16 +50,18 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
             contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]
             for pair in update.dropped:
                 joins.drop(pair)
+            merged, over_limit = maps.due(snapshot, placements)
             yield FusionStep(
                 stamp_ns=snapshot.stamp_ns,
                 is_last=snapshot.is_last,
                 placements=placements,
                 poses=poses.at(snapshot, placements),
                 pairs=tuple(_report(pair, fusion, snapshot, placements) for pair, fusion in fusions.items()),
-                maps=maps.due(snapshot, placements),
+                maps=merged,
                 changes=(*pair_changes, *contradicted, *update.changes),
                 paths=_paths(snapshot, placements) if snapshot.is_last else {},
                 map_frames={robot: event.map_frame for robot, event in snapshot.robots.items()},
+                over_limit=over_limit,
             )
 
 
@@ -194,15 +196,21 @@ class _MergedMaps:
         self._config = config
         self._merged: dict[int, tuple[int, object]] = {}
 
-    def due(self, snapshot: Snapshot, placements: Mapping[str, Placement]) -> dict[int, OccupancyGrid]:
+    def due(
+        self, snapshot: Snapshot, placements: Mapping[str, Placement]
+    ) -> tuple[dict[int, OccupancyGrid], dict[int, str]]:
+        """The merged maps that are due by group number, and those of them that would be too large, in words."""
         members: dict[int, list[str]] = {}
         for robot, placement in placements.items():
             members.setdefault(placement.group, []).append(robot)
-        return {
-            group: self._merge(group, robots, snapshot, placements)
-            for group, robots in sorted(members.items())
-            if self._is_due(group, robots, snapshot, placements)
-        }
+        merged, over_limit = {}, {}
+        for group, robots in sorted(members.items()):
+            if self._is_due(group, robots, snapshot, placements):
+                try:
+                    merged[group] = self._merge(group, robots, snapshot, placements)
+                except MergedMapTooLargeError as error:
+                    over_limit[group] = str(error)
+        return merged, over_limit
 
     def _is_due(self, group: int, robots: list[str], snapshot: Snapshot, placements: Mapping[str, Placement]) -> bool:
         if group not in self._merged:
@@ -223,6 +231,7 @@ class _MergedMaps:
             self._config.resolution_m,
             snapshot.stamp_ns,
             [snapshot.grids[robot].since_ns for robot in robots],
+            self._config.max_merged_cells,
         )
 
     @staticmethod

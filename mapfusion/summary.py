@@ -90,6 +90,7 @@ class Summary:
         robots: By name.
         pairs: By the names of the two.
         changes: Joins that began or ended and groups that formed, met or parted, with their times.
+        over_limit: Merged maps that were due and too large, by group: how many, and how large the last one.
     """
 
     num_snapshots: int = 0
@@ -98,6 +99,7 @@ class Summary:
     robots: dict[str, RobotSummary] = field(default_factory=dict)
     pairs: dict[tuple[str, str], PairSummary] = field(default_factory=dict)
     changes: list[tuple[int, str]] = field(default_factory=list)
+    over_limit: dict[int, tuple[int, str]] = field(default_factory=dict)
 
     def add(self, step: FusionStep) -> None:
         """Takes note of a step; steps come in the order of time."""
@@ -106,6 +108,8 @@ class Summary:
         self.num_snapshots += 1
         self.last_ns = step.stamp_ns
         self.changes.extend((step.stamp_ns, change) for change in step.changes)
+        for group, reason in step.over_limit.items():
+            self.over_limit[group] = (self.over_limit.get(group, (0, ""))[0] + 1, reason)
         for robot in self.robots.keys() | step.placements.keys():
             self.robots[robot] = _robot(self.robots.get(robot, RobotSummary()), robot, step)
         for report in step.pairs:

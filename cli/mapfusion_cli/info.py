@@ -77,7 +77,7 @@ def info(
     flags += ["--clock", "log"] if clock is Clock.log else []
     command = _replay_command(inputs, flags, robot=robot, drop=drop, pose=pose, base_frame=base_frame)
     if json:
-        document = {**mission_document(mission), "replay_command": command}
+        document = {**mission_document(mission, mission.losses), "replay_command": command}
         show(json_library.dumps(document, indent=2, sort_keys=True, allow_nan=False))
     else:
         show(info_text(mission, command))

@@ -79,6 +79,9 @@ MaxMessagesOption = Annotated[
         rich_help_panel=_LIMITS,
     ),
 ]
+MaxMergedCellsOption = Annotated[
+    int, typer.Option("--max-merged-cells", metavar="N", min=1, help="A merged map of more cells is not made.")
+]
 MaxRobotsOption = Annotated[
     int, typer.Option("--max-robots", metavar="N", min=1, help="Most robots.", rich_help_panel=_LIMITS)
 ]

@@ -24,6 +24,7 @@ from mapfusion_cli.options import (
     EndOption,
     MaxChunkOption,
     MaxMapCellsOption,
+    MaxMergedCellsOption,
     MaxMessagesOption,
     MaxRobotsOption,
     NeverOption,
@@ -114,6 +115,7 @@ def replay(
     max_map_cells: MaxMapCellsOption = MAX_MAP_CELLS,
     max_messages: MaxMessagesOption = MAX_MESSAGES,
     max_robots: MaxRobotsOption = MAX_ROBOTS,
+    max_merged_cells: MaxMergedCellsOption = 25_000_000,
     config: Annotated[
         Path | None,
         typer.Option(
@@ -167,6 +169,7 @@ def replay(
             "blend": blend.value,
             "resolution_m": resolution,
             "jobs": jobs,
+            "max_merged_cells": max_merged_cells,
             "priors": priors(prior),
             "never": pairs_apart(never),
         },
@@ -184,7 +187,7 @@ def replay(
         show(result_json(done))
     elif not quiet:
         show(result_text(done, verbose=verbose))
-    if done.mission.losses:
+    if done.losses:
         raise typer.Exit(DONE_WITH_LOSSES)
 
 

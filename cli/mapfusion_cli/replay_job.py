@@ -18,6 +18,7 @@ from mapfusion_cli.options import existing
 from mapfusion_cli.progress import StageProgress
 from mapfusion_io.atomic import refuse_target
 from mapfusion_io.input_copy import InputCopy
+from mapfusion_io.interfaces import Loss
 from mapfusion_io.mission import Mission, MissionOptions, open_recording
 from mapfusion_io.mission_copy import mission_copy
 from mapfusion_io.mission_summary import metadata_record, summary_document
@@ -67,6 +68,7 @@ class Done:
     Attributes:
         mission: The recordings as they were understood, with their losses.
         summary: What came of it.
+        losses: What could not be read, believed or made.
         document: The same as it stands in the output, ready for JSON.
         left_out: What `--include-inputs` could not copy, in words.
         elapsed_s: Wall time of each stage by name.
@@ -75,6 +77,7 @@ class Done:
 
     mission: Mission
     summary: Summary
+    losses: tuple[Loss, ...]
     document: Mapping[str, object]
     left_out: tuple[str, ...]
     elapsed_s: Mapping[str, float]
@@ -119,13 +122,21 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
                     output.write(replace(step, pairs=tuple(pair.latest for pair in summary.pairs_in_order)))
                 progress.reached(step.stamp_ns)
             output.copy_rest()
-            if job.strict and mission.losses:
-                loss = mission.losses[0]
+            losses = (*mission.losses, *_too_large(summary))
+            if job.strict and losses:
+                loss = losses[0]
                 raise LogReadError(f"{loss.source}: {loss.kind} at {loss.where} (--strict): {loss.detail}")
-            document = summary_document(mission, summary, job.world_frame)
-            output.finish(document, metadata_record(mission, __version__, job.recorded_options))
+            document = summary_document(mission, summary, losses, job.world_frame)
+            output.finish(document, metadata_record(mission, losses, __version__, job.recorded_options))
     elapsed_s = {"reading": read_s - started_s, "fusing and writing": time.perf_counter() - read_s}
-    return Done(mission, summary, document, _left_out(inputs), elapsed_s, job.output)
+    return Done(mission, summary, losses, document, _left_out(inputs), elapsed_s, job.output)
+
+
+def _too_large(summary: Summary) -> list[Loss]:
+    return [
+        Loss("output", "over limit", f"group {group}", count=count, detail=reason)
+        for group, (count, reason) in sorted(summary.over_limit.items())
+    ]
 
 
 def _config(job: ReplayJob, mission: Mission) -> ReplayConfig:
@@ -153,7 +164,15 @@ def _config(job: ReplayJob, mission: Mission) -> ReplayConfig:
 
 def _in_options(words: str) -> str:
     """An error about a field, in terms of the option that sets it."""
-    for name in ("map_interval_s", "interval_s", "max_age_s", "resolution_m", "mae_threshold", "jobs"):
+    for name in (
+        "map_interval_s",
+        "interval_s",
+        "max_age_s",
+        "resolution_m",
+        "mae_threshold",
+        "max_merged_cells",
+        "jobs",
+    ):
         words = words.replace(name, f"--{name.removesuffix('_s').removesuffix('_m').replace('_', '-')}")
     return words
 

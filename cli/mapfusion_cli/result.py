@@ -40,7 +40,7 @@ def result_text(done: Done, *, verbose: bool) -> str:
         *_advice(done),
         *(f"warning: {warning}" for warning in mission.warnings),
         *_missing_poses(done),
-        *losses_text(mission.losses),
+        *losses_text(done.losses),
         *_unverifiable(done),
         *(f"not copied: {item}" for item in done.left_out),
     ]

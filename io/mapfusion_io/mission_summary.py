@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mapfusion.result import PairFusion
@@ -20,7 +20,7 @@ from mapfusion_io.topic_names import group_name
 Document = dict[str, Any]
 
 
-def mission_document(mission: Mission) -> Document:
+def mission_document(mission: Mission, losses: Sequence[Loss]) -> Document:
     """What was found in the recordings: inputs, robots, what was passed over, losses, warnings."""
     return {
         "inputs": [
@@ -37,14 +37,14 @@ def mission_document(mission: Mission) -> Document:
         "last_stamp_ns": mission.last_ns,
         "robots": {robot.name: _robot(robot) for robot in mission.robots},
         "passed_over": [_passed_over(item) for item in mission.passed_over],
-        "losses": [_loss(loss) for loss in mission.losses],
+        "losses": [_loss(loss) for loss in losses],
         "warnings": list(mission.warnings),
     }
 
 
-def summary_document(mission: Mission, summary: Summary, world_frame: str) -> Document:
+def summary_document(mission: Mission, summary: Summary, losses: Sequence[Loss], world_frame: str) -> Document:
     """The same and what the replay came to: snapshots, groups, placements, pairs."""
-    document = mission_document(mission)
+    document = mission_document(mission, losses)
     for name, robot in document["robots"].items():
         robot.update(_outcome(summary.robots.get(name, RobotSummary())))
     return document | steps_document(summary, world_frame)
@@ -63,9 +63,11 @@ def steps_document(summary: Summary, world_frame: str) -> Document:
     }
 
 
-def metadata_record(mission: Mission, version: str, options: Mapping[str, object]) -> dict[str, str]:
+def metadata_record(
+    mission: Mission, losses: Sequence[Loss], version: str, options: Mapping[str, object]
+) -> dict[str, str]:
     """Content of the metadata record `mapfusion`: how the output came to be, without paths, clocks or run times."""
-    document = mission_document(mission)
+    document = mission_document(mission, losses)
     return {
         "version": version,
         "options": _json(options),

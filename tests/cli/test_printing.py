@@ -16,9 +16,9 @@ def test_an_error_has_two_lines_at_most() -> None:
 
 def test_the_options_have_the_defaults_of_the_limits() -> None:
     limits = ReadLimits()
-    assert (MAX_CHUNK_MIB * 2**20, MAX_MAP_CELLS, MAX_MESSAGES, MAX_ROBOTS) == (
+    assert (
         limits.record_bytes,
         limits.map_cells,
         limits.messages,
         limits.robots,
-    )
+    ) == (MAX_CHUNK_MIB * 2**20, MAX_MAP_CELLS, MAX_MESSAGES, MAX_ROBOTS)

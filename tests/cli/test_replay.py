@@ -1,12 +1,15 @@
 import json
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from mapfusion.simulation.mission import simulate_mission
 from mapfusion.simulation.mission_config import MissionConfig
+from mapfusion.transform import SE2
 from mapfusion_io.mission_writer import write_mission
 from tests.cli.conftest import Command
 
@@ -168,6 +171,16 @@ def test_known_starts_and_pairs_kept_apart(mapfusion: Command, recording: Path, 
     assert apart["groups"] == []
 
 
+def test_a_robot_placed_far_away_costs_the_merged_map_and_not_the_machine(
+    mapfusion: Command, recording: Path, output: Path
+) -> None:
+    ran = mapfusion("replay", recording, output, "--prior", "robot2=100000,0,0")
+    assert ran.code == 3
+    assert "lost: output: over limit at group 1" in ran.out
+    assert "/fused/map" not in topics(output)
+    assert "/fused/robot2/pose" in topics(output)
+
+
 def test_losses_end_in_3_and_with_strict_in_1(mapfusion: Command, recording: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     whole = recording.read_bytes()
@@ -214,14 +227,23 @@ def test_an_earlier_result_is_no_recording_of_robots(mapfusion: Command, recordi
 
 
 def test_three_real_bags_of_one_robot_each(mapfusion: Command, tmp_path: Path) -> None:
-    bags = [SHARED / "recordings" / "isr_small" / f"{number}.bag" for number in (1, 2, 3)]
-    if not bags[0].exists():
+    folder = SHARED / "recordings" / "isr_small"
+    if not folder.exists():
         pytest.skip("the shared recordings are not here")
-    output = tmp_path / "out.mcap"
-    ran = mapfusion("replay", *bags, output, "--align-start", "--json", *SHORT)
+    bags, output = [folder / f"{number}.bag" for number in (1, 2, 3)], tmp_path / "out.mcap"
+    ran = mapfusion("replay", *bags, output, "--align-start", "--interval", 5, "--json")
     assert ran.code == 0
-    assert set(json.loads(ran.out)["robots"]) == {"1", "2", "3"}
+    robots = json.loads(ran.out)["robots"]
+    assert set(robots) == {"1", "2", "3"}
     assert "/fused/pairs/r_1/r_2" in topics(output)
+    truth = json.loads((folder / "truth.json").read_text())
+    # The middle of each robot's known area in its own frame, as the recordings' README gives it.
+    for robot, middle in (("2", (15.4, 40.8)), ("3", (17.7, 42.5))):
+        placed = robots[robot]["T_group_map"]
+        found = SE2(placed["x_m"], placed["y_m"], math.radians(placed["yaw_deg"]))
+        true = SE2(*truth[f"T_1_{robot}"])
+        assert math.dist(found.apply(np.array(middle)), true.apply(np.array(middle))) < 0.3
+        assert math.degrees(found.distance_to(true)[1]) < 3.0
     apart = mapfusion("replay", *bags, output, "--force", *SHORT)
     assert "do not overlap in time" in apart.out
     assert "--align-start" in apart.out

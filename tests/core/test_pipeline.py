@@ -108,3 +108,11 @@ def test_a_known_start_ties_robots_without_any_overlap() -> None:
 def test_a_pair_that_must_not_join_does_not() -> None:
     *_, last = replay(mission(), replace(PAPER, never=frozenset({frozenset({"a", "b"})})))
     assert not last.placements
+
+
+def test_a_merged_map_that_would_be_too_large_is_left_out_and_named() -> None:
+    far = replace(PAPER, priors={"b": Prior(SE2(1e5, 0.0, 0.0))}, max_merged_cells=1_000_000)
+    *_, last = replay(mission(), far)
+    assert not last.maps
+    assert "more than 1000000" in last.over_limit[1]
+    assert last.placements["b"].T_group_map == SE2(1e5, 0.0, 0.0)

@@ -19,10 +19,9 @@ from tests.io.making import (
     write_rosbag1,
     write_rosbag2,
 )
-from tests.reliability.missions import mission
 from tests.reliability.sweeping import Outcomes, cuts, flips, smears, sweep
 
-MISSION = mission(1)
+MISSION = mission_messages(24)
 RECORDING = mcap_bytes(MISSION, chunk_size=1000)
 
 
