@@ -113,7 +113,14 @@ def _with_matches(verified: PairFusion, found: PairFusion | None) -> PairFusion:
     """A verified transform with the matches that it was found by: verifying looks at walls and not at features."""
     if found is None:
         return verified
-    return replace(verified, num_matches=found.num_matches, num_inliers=found.num_inliers, scale=found.scale)
+    return replace(
+        verified,
+        num_keypoints_target=found.num_keypoints_target,
+        num_keypoints_source=found.num_keypoints_source,
+        num_matches=found.num_matches,
+        num_inliers=found.num_inliers,
+        scale=found.scale,
+    )
 
 
 def _contradicted(pair: Pair, misfit: Misfit) -> str:

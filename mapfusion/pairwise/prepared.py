@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -16,13 +17,13 @@ AREA_SAMPLES = 1500
 """About so many known cells stand for the known area where areas are compared."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PreparedMap:
     """One map, ready to be compared.
 
     Attributes:
         grid: The map at the resolution of the comparison, cropped to what it knows.
-        features: ORB keypoints of its walls.
+        walls: (H, W) mask of its walls without noise.
         field: The rim of its walls as a field; None where it has no wall beside free space.
         area: (N, 2) float32 centres of known cells on a regular raster, cells.
         cells_per_area_sample: Known cells that each of `area` stands for.
@@ -31,12 +32,17 @@ class PreparedMap:
     """
 
     grid: OccupancyGrid
-    features: Features
+    walls: Mask
     field: SurfaceField | None
     area: Points
     cells_per_area_sample: float
     centre: Poses
     key: bytes
+
+    @cached_property
+    def features(self) -> Features:
+        """ORB keypoints of the walls, found when they are first asked for: verifying a transform needs none."""
+        return detect(self.walls)
 
 
 def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
@@ -49,7 +55,7 @@ def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
     area, cells_per_area_sample = _raster(known)
     return PreparedMap(
         grid=grid,
-        features=detect(walls),
+        walls=walls,
         field=surface_field(surface, free, known) if len(surface) else None,
         area=area,
         cells_per_area_sample=cells_per_area_sample,

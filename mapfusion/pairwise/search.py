@@ -53,6 +53,7 @@ class Finding:
         slack_rad: How far the rotation may turn, within what is one and the same answer, at little loss of evidence.
         num_matches: Keypoint matches used.
         num_inliers: Those that agree with `pose`.
+        num_keypoints: Of the target and of the source; 0 where none were looked for.
     """
 
     pose: Poses
@@ -63,6 +64,7 @@ class Finding:
     slack_rad: float = 0.0
     num_matches: int = 0
     num_inliers: int = 0
+    num_keypoints: tuple[int, int] = (0, 0)
 
 
 def propose(target: PreparedMap, source: PreparedMap, matches: Matches) -> Poses:
@@ -89,6 +91,7 @@ def examine(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches
         slack_rad=float(turns[~different & (net >= LITTLE_LOSS * net[0])].max()),
         num_matches=len(matches),
         num_inliers=count_inliers(target.features, source.features, matches, found.pose),
+        num_keypoints=(len(target.features), len(source.features)),
     )
 
 

@@ -63,8 +63,6 @@ def too_little(target: PreparedMap, source: PreparedMap) -> PairFusion | None:
                 reason=f"too few walls: the {name} map has {walls} wall cells beside free space, "
                 f"at least {MIN_WALL_CELLS} are needed",
                 gate="few walls",
-                num_keypoints_target=len(target.features),
-                num_keypoints_source=len(source.features),
                 resolution_m=target.grid.resolution_m,
             )
     return None
@@ -93,8 +91,8 @@ def judge(
         mae=cells.mae,
         overlap_ratio=cells.overlap_ratio,
         overlap_cells=cells.overlap_cells,
-        num_keypoints_target=len(target.features),
-        num_keypoints_source=len(source.features),
+        num_keypoints_target=finding.num_keypoints[0],
+        num_keypoints_source=finding.num_keypoints[1],
         num_matches=finding.num_matches,
         num_inliers=finding.num_inliers,
         covariance=_covariance(target, source, finding, T_target_source),

@@ -128,6 +128,17 @@ def test_hundred_thousand_topics_frames_and_tiny_messages(tmp_path: Path) -> Non
     assert [(loss.kind, loss.topic) for loss in found.losses] == [("over limit", "/tf")]
 
 
+def test_a_robot_placed_far_away_does_not_blow_up_the_merged_map(tmp_path: Path) -> None:
+    recording, output = tmp_path / "run.mcap", tmp_path / "fused.mcap"
+    recording.write_bytes(mcap_bytes(mission(1)))
+    ran = command("replay", recording, output, *FAST, "--prior", "a=0,0,0", "--prior", "b=20000,20000,0")
+    result = json.loads(ran.out)
+    assert ran.code == 3
+    assert [(loss["kind"], loss["topic"]) for loss in result["losses"]] == [("over limit", "")]
+    assert "a merged map of" in result["losses"][0]["detail"]
+    assert result["groups"][0]["robots"] == ["a", "b"]
+
+
 def test_maps_that_come_in_reverse_are_not_all_held(tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     maps = [sent("/a/map", grid("a"), 0.01 * index, stamp_s=100.0 - index) for index in range(40)]
