@@ -29,10 +29,11 @@ GROWTH = 0.1
 """A refused pair is searched again when one of its maps has changed its known area by this share."""
 NUM_TIES = 3
 """So many joins of a robot are followed; with more, every further one costs and adds hardly anything."""
-MAX_SEARCHES = 6
+MAX_SEARCHES = 4
 """So many pairs are searched at a snapshot, those of which most has changed; the others wait. Bounds N squared work."""
 DISPUTED_OVERLAP = 0.2
-"""Two maps that overlap this far where other robots place them, and do not agree there, are searched as well."""
+DISPUTING_GATES = ("contradiction", "mae")
+"""Two maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
 FOLLOW_GROWTH = 0.02
 FOLLOW_NS = 10_000_000_000
 """A join is verified anew when a map has changed its known area by this share, at the latest after this time."""
@@ -129,7 +130,7 @@ class Joins:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
             state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
-            state.is_disputed = not fusion.accepted and fusion.overlap_ratio >= DISPUTED_OVERLAP
+            state.is_disputed = fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
             return ""
         state.searched_cells = state.looked_cells
         return self._consider(state, look.pair, fusion, snapshot)

@@ -136,7 +136,7 @@ def test_robots_tied_over_others_are_verified_where_those_place_them() -> None:
 def test_a_place_given_by_others_that_does_not_look_right_is_searched_as_well() -> None:
     joins = Joins()
     placements = {"a": Placement(1, SE2.identity()), "b": Placement(1, T)}
-    look(joins, snapshot(a=1, b=1), replace(REFUSED, overlap_ratio=0.5), placements=placements)
+    look(joins, snapshot(a=1, b=1), replace(REFUSED, gate="contradiction", overlap_ratio=0.5), placements=placements)
     assert joins.due(snapshot(a=2, b=1), placements) == [Look(AB, None)]
 
 

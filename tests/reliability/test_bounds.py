@@ -50,20 +50,22 @@ BOMBS = {
 }
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="peak memory is measured as Linux counts it")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads its peak memory from /proc")
 @pytest.mark.parametrize("name", BOMBS)
 def test_bombs_are_refused_in_a_second_and_300_mib(name: str, tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     recording.write_bytes(BOMBS[name])
     script = (
-        "import sys, time, resource\n"
+        "import sys, time\n"
         "from mapfusion_io.mission import open_recording\n"
         "from mapfusion.errors import LogReadError\n"
         "import mapfusion_io.rosbag_reader, mapfusion_io.definitions\n"
         "start = time.process_time()\n"
         "try: words = str(open_recording([sys.argv[1]]).losses)\n"
         "except LogReadError as error: words = str(error)\n"
-        "print(time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, words)\n"
+        "elapsed_s = time.process_time() - start\n"
+        "peak = [line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')]\n"
+        "print(elapsed_s, int(peak[0]) / 1024, words)\n"
     )
     ran = subprocess.run([sys.executable, "-c", script, recording], capture_output=True, text=True, check=True)
     elapsed_s, peak_mib, words = ran.stdout.split(maxsplit=2)
