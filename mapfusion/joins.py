@@ -33,7 +33,7 @@ MAX_SEARCHES = 4
 """So many pairs are searched at a snapshot, those of which most has changed; the others wait. Bounds N squared work."""
 DISPUTED_OVERLAP = 0.2
 DISPUTING_GATES = ("contradiction", "mae")
-"""Two maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
+"""Maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
 FOLLOW_GROWTH = 0.02
 FOLLOW_NS = 10_000_000_000
 """A join is verified anew when a map has changed its known area by this share, at the latest after this time."""
