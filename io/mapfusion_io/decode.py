@@ -15,21 +15,13 @@ from mapfusion_io.definitions import DefinitionError, default_store, store_from
 from mapfusion_io.interfaces import Channel, RawMessage
 from mapfusion_io.read_errors import printable
 
-__all__ = ["Decoder", "MalformedMessageError", "peek_stamp_frame"]
+__all__ = ["Decoder", "MalformedMessageError"]
 
 logger = logging.getLogger(__name__)
 
 _DEFINITION_ENCODINGS = frozenset({"ros2msg", "ros2idl", "ros1msg"})
 _MESSAGE_ENCODINGS = frozenset({"cdr", "ros1"})
-_CDR_HEADER_BYTES = 4
-_CDR_KINDS = frozenset({0x00, 0x01, 0x06, 0x07})
-"""Encapsulations in which a std_msgs/Header lies plainly: CDR and plain XCDR2; odd ones are little endian.
-
-Source: OMG DDS-XTYPES 1.3, table 60.
-"""
 _LARGE_BYTES = 65_536
-_STAMP_LENGTH = {order: struct.Struct(f"{order}iII") for order in "<>"}
-_SEQ_STAMP_LENGTH = struct.Struct("<IIII")
 
 
 class _Type(NamedTuple):
@@ -106,28 +98,3 @@ def _find_type(channel: Channel) -> _Type | str:
 def _with_store(store: Typestore, channel: Channel) -> _Type:
     deserialize = store.deserialize_ros1 if channel.message_encoding == "ros1" else store.deserialize_cdr
     return _Type(deserialize, channel.schema_name)
-
-
-def peek_stamp_frame(raw: RawMessage) -> tuple[int, str]:
-    """Stamp in nanoseconds and frame id of a message that starts with a std_msgs/Header; the rest is not looked at.
-
-    Raises:
-        MalformedMessageError: The bytes do not start with a header.
-    """
-    data = raw.data
-    try:
-        if raw.channel.message_encoding == "ros1":
-            _, sec, nanosec, length = _SEQ_STAMP_LENGTH.unpack_from(data)
-            start, end = _SEQ_STAMP_LENGTH.size, _SEQ_STAMP_LENGTH.size + length
-        else:
-            if len(data) < _CDR_HEADER_BYTES or data[0] != 0 or data[1] not in _CDR_KINDS:
-                raise ValueError("unknown encapsulation")
-            sec, nanosec, length = _STAMP_LENGTH["<" if data[1] & 1 else ">"].unpack_from(data, _CDR_HEADER_BYTES)
-            start = _CDR_HEADER_BYTES + 12
-            end = start + length - 1  # without the NUL at its end
-        if not start <= end <= len(data):
-            raise ValueError("its frame id does not fit")
-        return sec * 1_000_000_000 + nanosec, bytes(data[start:end]).decode()
-    except (struct.error, ValueError) as error:
-        reason = "its bytes do not start with a header"
-        raise MalformedMessageError(raw.channel.topic, raw.log_time_ns, reason) from error

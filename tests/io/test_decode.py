@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mapfusion.errors import LogReadError
-from mapfusion_io.decode import Decoder, MalformedMessageError, peek_stamp_frame
+from mapfusion_io.decode import Decoder, MalformedMessageError
 from mapfusion_io.interfaces import RawMessage
 from tests.io.making import (
     HUMBLE,
@@ -137,26 +137,3 @@ def test_other_damage_is_malformed_too() -> None:
             reasons.append(error.reason)
     assert len(reasons) > 50
     assert set(reasons) == {f"its bytes are no {GRID}"}
-
-
-@pytest.mark.parametrize("kind", [0x00, 0x01, 0x06, 0x07])
-def test_peek_in_cdr(kind: int) -> None:
-    data = bytearray(cdr(grid_message(CELLS, frame_id="robot1/map"), little_endian=bool(kind & 1)))
-    data[1] = kind
-    assert peek_stamp_frame(raw_message(GRID, bytes(data))) == (STAMP_NS, "robot1/map")
-    assert peek_stamp_frame(raw_message(GRID, memoryview(bytes(data)))) == (STAMP_NS, "robot1/map")  # type: ignore[arg-type]
-
-
-def test_peek_in_ros1() -> None:
-    raw = raw_message(GRID, ros1_grid(CELLS, "/robot1/map"), message_encoding="ros1")
-    assert peek_stamp_frame(raw) == (STAMP_NS, "/robot1/map")
-
-
-@pytest.mark.parametrize(
-    "data",
-    [b"", b"\0\1\0\0", b"\0\3" + GRID_BYTES[2:], GRID_BYTES[:18], b"\0\1\0\0" + struct.pack("<iII", 1, 2, 2**32 - 1),
-     b"\0\1\0\0" + struct.pack("<iII", 1, 2, 0), b"\0\1\0\0" + struct.pack("<iII", 1, 2, 3) + b"\xff\xff\0"],
-)  # fmt: skip
-def test_peek_at_what_is_no_header(data: bytes) -> None:
-    with pytest.raises(MalformedMessageError, match="header"):
-        peek_stamp_frame(raw_message(GRID, data))
