@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import subprocess
@@ -15,14 +16,20 @@ LAUNCH = "import sys; from mapfusion_cli.main import run; run(sys.argv[1:])"
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
-    """`mapfusion` in a process of its own."""
+    """`mapfusion` in a process of its own, which ignores no signal, whatever the tests were started by."""
     return subprocess.Popen(
         [sys.executable, "-c", LAUNCH, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         stdin=subprocess.DEVNULL,
+        preexec_fn=_heed_signals if os.name == "posix" else None,
     )
+
+
+def _heed_signals() -> None:
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def whole_run_s(recording: Path, output: Path) -> float:
