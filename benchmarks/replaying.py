@@ -84,8 +84,8 @@ def measure(recording: Path, profile: str) -> None:
         started_s = time.perf_counter()
         done = run_job(job, quiet=True)
         elapsed_s = time.perf_counter() - started_s
-        floor_s = reading_and_writing_s(recording, job.output)
         peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        floor_s = reading_and_writing_s(recording, job.output)
         profiler = cProfile.Profile()
         profiler.runcall(run_job, job, quiet=True)
     lasted_s = (done.mission.last_ns - done.mission.first_ns) * 1e-9
