@@ -20,8 +20,9 @@ from pathlib import Path
 STAGES = {
     "reading, first pass": ("survey.py", "take_survey"),
     "reading, second pass": ("grid_stream.py", "stamped_grid_messages"),
-    "fusing pairs": ("fusion.py", "fuse"),
-    "  of it preparing maps": ("fusion.py", "of"),
+    "searching pairs": ("fusion.py", "fuse"),
+    "verifying joins": ("fusion.py", "verify"),
+    "  of both preparing maps": ("fusion.py", "of"),
     "merging maps": ("merge.py", "merge_grids"),
     "writing": ("output.py", "write"),
     "finishing": ("output.py", "finish"),
