@@ -6,10 +6,12 @@ import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 from rosbags.typesys.stores import ros2_humble as ros
 
 from mapfusion.grid import OccupancyGrid
@@ -48,9 +50,7 @@ class Encoder:
     """Encodes as ROS 2 Humble defines the messages; later distributions define these types alike."""
 
     def __init__(self) -> None:
-        self._store = get_typestore(Stores.ROS2_HUMBLE)
-        self._pair_text = resources.files(__package__).joinpath("pair_fusion.msg").read_text(encoding="utf-8")
-        self._store.register(get_types_from_msg(self._pair_text, PAIR_FUSION))
+        self._store, self._pair_text = _types()
 
     def message_type(self, name: str) -> MessageType:
         """Definition and hash of one of the types named above."""
@@ -132,6 +132,15 @@ class Encoder:
         ]
         message = ros.diagnostic_msgs__msg__DiagnosticArray(header=_header("", stamp_ns), status=status)
         return bytes(self._store.serialize_cdr(message, DIAGNOSTIC_ARRAY, little_endian=True))
+
+
+@cache
+def _types() -> tuple[Typestore, str]:
+    """The types and PairFusion's definition, made once: rosbags makes classes, which cost time and memory anew."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    text = resources.files(__package__).joinpath("pair_fusion.msg").read_text(encoding="utf-8")
+    store.register(get_types_from_msg(text, PAIR_FUSION))
+    return store, text
 
 
 def _stamped_poses(stamps_ns: StampArray, poses: FloatArray, frame: bytes, offset: int) -> bytes:
