@@ -52,9 +52,9 @@ def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, confi
 
 
 def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, finding: Finding) -> PairFusion:
-    T_target_source = _to_metres(target, source, finding.pose)
+    T_target_source = _to_metres(target, source, finding.best.pose)
     cells = agreement(target.grid, source.grid, T_target_source)
-    rival = None if finding.rival is None else _to_metres(target, source, finding.rival)
+    rival = None if finding.rival is None else _to_metres(target, source, finding.rival.pose)
     return verdict.judge(target, source, config, finding, T_target_source, rival, cells)
 
 

@@ -52,6 +52,19 @@ def differ(pose: Poses, others: Poses, centre: Poses, cells: float, degrees: flo
     return result
 
 
+def distinct(poses: Poses, centre: Poses, cells: float, degrees: float, count: int) -> list[int]:
+    """Indices of the first `count` of the poses (K, 3) that do not lie near an earlier one; near as in `differ`."""
+    chosen: list[int] = []
+    apart = np.ones(len(poses), np.bool_)
+    for index in range(len(poses)):
+        if apart[index]:
+            chosen.append(index)
+            if len(chosen) == count:
+                break
+            apart &= differ(poses[index], poses, centre, cells, degrees)
+    return chosen
+
+
 def to_se2(pose: Poses, resolution_m: float) -> SE2:
     """The motion between the two grids' corners, in metres."""
     return SE2(float(pose[0]) * resolution_m, float(pose[1]) * resolution_m, float(pose[2]))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from mapfusion.pairwise.correlation import correlate
-from mapfusion.pairwise.evidence import against_chance, discounted, weigh
-from mapfusion.pairwise.lines import agreeing_lines
-from mapfusion.pairwise.poses import Poses, differ, inverse
+from mapfusion.pairwise.evidence import Evidence, against_chance, discounted, weigh
+from mapfusion.pairwise.poses import Poses, differ, distinct, inverse
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import encounters, refine
+from mapfusion.pairwise.scrutiny import plausibility, scrutinise
 from mapfusion.pairwise.surface import NOT_KNOWN, Surface, SurfaceField
 from mapfusion.pairwise.voting import Matches, count_inliers, vote
 
@@ -36,8 +36,28 @@ SAME_DEGREES = 4.0
 DISTINCT_CELLS = 10.0
 DISTINCT_SHARE = 0.04
 DISTINCT_DEGREES = 10.0
-LITTLE_LOSS = 0.88
-"""A pose with this share of the best one's evidence explains the maps as well."""
+REFINED_DEGREES = 3.0
+NUM_SCRUTINISED = 5
+WORTH_SHARE = 0.1
+"""A pose with less than this share of the best one's evidence is not looked at more closely."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One pose, looked at closely.
+
+    Attributes:
+        pose: (3,) of the source in the target, in cells.
+        figures: Its evidence and what the closer look found, by name.
+    """
+
+    pose: Poses
+    figures: dict[str, float]
+
+    @property
+    def plausibility(self) -> float:
+        """By how much it is to be preferred to other poses of the pair, as a log-odds."""
+        return plausibility(self.figures)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,23 +65,19 @@ class Finding:
     """The best pose of the source in the target, and the best one that is distinctly different.
 
     Attributes:
-        pose: (3,) in cells.
-        figures: Its evidence by name.
+        best: The best pose.
         information: (3, 3) information matrix about the source's centre, in cells and radians, per wall cell.
-        rival: (3,) the best distinctly different pose, or None.
-        rival_net: Net evidence of the rival, 0 where there is none; None where none was looked for.
-        slack_rad: How far the rotation may turn, within what is one and the same answer, at little loss of evidence.
+        rival: The best distinctly different pose; None where there is none, or none was looked for.
+        is_searched: Whether other poses were looked for.
         num_matches: Keypoint matches used.
-        num_inliers: Those that agree with `pose`.
+        num_inliers: Those that agree with the best pose.
         num_keypoints: Of the target and of the source; 0 where none were looked for.
     """
 
-    pose: Poses
-    figures: dict[str, float]
+    best: Candidate
     information: Poses
-    rival: Poses | None
-    rival_net: float | None
-    slack_rad: float = 0.0
+    rival: Candidate | None = None
+    is_searched: bool = False
     num_matches: int = 0
     num_inliers: int = 0
     num_keypoints: tuple[int, int] = (0, 0)
@@ -78,25 +94,22 @@ def propose(target: PreparedMap, source: PreparedMap, matches: Matches) -> Poses
 
 def examine(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches) -> Finding:
     """The best of the hypotheses, refined, with its evidence and its rival."""
-    poses, net = refine_and_rank(target, source, hypotheses)
-    different = differ(poses[0], poses, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
-    apart = np.flatnonzero(different)
-    rival = None if not len(apart) else poses[apart[0]]
-    turns = np.abs(np.remainder(poses[:, 2] - poses[0, 2] + math.pi, 2.0 * math.pi) - math.pi)
-    found = recheck(target, source, poses[0])
+    candidates = refine_and_rank(target, source, hypotheses)
+    found = recheck(target, source, candidates[0].pose)
+    others = np.array([one.pose for one in candidates])
+    apart = differ(others[0], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
     return replace(
         found,
-        rival=rival,
-        rival_net=0.0 if rival is None else float(net[apart[0]]),
-        slack_rad=float(turns[~different & (net >= LITTLE_LOSS * net[0])].max()),
+        rival=next((one for one, is_apart in zip(candidates, apart, strict=True) if is_apart), None),
+        is_searched=True,
         num_matches=len(matches),
-        num_inliers=count_inliers(target.features, source.features, matches, found.pose),
+        num_inliers=count_inliers(target.features, source.features, matches, found.best.pose),
         num_keypoints=(len(target.features), len(source.features)),
     )
 
 
-def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses) -> tuple[Poses, Poses]:
-    """Candidates (K, 3) by net evidence, best first, and that evidence (K,)."""
+def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses) -> list[Candidate]:
+    """The best few of the hypotheses (K, 3), refined, none of them like another; the most plausible first."""
     assert target.field is not None
     assert source.field is not None
     starts = _best_distinct(target.field, source.field, hypotheses, source.centre, COARSE_POINTS, NUM_STARTS)
@@ -104,9 +117,12 @@ def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses)
     wide = _best_distinct(target.field, source.field, wide, source.centre, FINE_POINTS, NUM_CANDIDATES)
     tight, _ = refine(target.field, source.field, wide, source.centre, TIGHT_REACHES, FINE_POINTS)
     poses = np.concatenate([tight, wide])
-    net = weigh(target, source, poses, EVIDENCE_POINTS).net
-    order = np.argsort(-net, kind="stable")
-    return poses[order], net[order]
+    evidence = weigh(target, source, poses, EVIDENCE_POINTS)
+    order = np.argsort(-evidence.net, kind="stable")
+    worth = order[evidence.net[order] >= WORTH_SHARE * evidence.net[order[0]]]
+    chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, NUM_SCRUTINISED)]
+    candidates = [_candidate(target, source, poses[k], evidence, int(k)) for k in chosen]
+    return sorted(candidates, key=lambda one: -one.plausibility)
 
 
 def recheck(target: PreparedMap, source: PreparedMap, pose: Poses) -> Finding:
@@ -114,18 +130,19 @@ def recheck(target: PreparedMap, source: PreparedMap, pose: Poses) -> Finding:
     assert target.field is not None
     assert source.field is not None
     polished, information = refine(target.field, source.field, pose[None], source.centre, POLISH_REACHES, POLISH_POINTS)
-    both = weigh(target, source, np.concatenate([polished, pose[None]]), EVIDENCE_POINTS)
+    poses = np.concatenate([polished, pose[None]])
+    both = weigh(target, source, poses, EVIDENCE_POINTS)
     # A bent map may fit better as it was found from afar than where its nearest walls draw it.
     best = 0 if both.net[0] >= 0.9 * both.net[1] else 1
-    found = (polished[0], pose)[best]
-    lines = agreeing_lines(target.field, source.field, found, float(both.tolerance_cells[best]))
-    return Finding(
-        pose=found,
-        figures={**both.of(best), "lines": lines},
-        information=information[0],
-        rival=None,
-        rival_net=None,
-    )
+    return Finding(_candidate(target, source, poses[best], both, best), information[0])
+
+
+def _candidate(target: PreparedMap, source: PreparedMap, pose: Poses, evidence: Evidence, index: int) -> Candidate:
+    assert target.field is not None
+    assert source.field is not None
+    figures = evidence.of(index)
+    scrutiny = scrutinise(target.field, source.field, pose, figures["tolerance_cells"])
+    return Candidate(pose, figures | asdict(scrutiny))
 
 
 def distinct_cells(target: PreparedMap, source: PreparedMap) -> float:
@@ -141,15 +158,7 @@ def _best_distinct(
     score = _rough_score(target, source.surface, poses, num_points)
     score = score + _rough_score(source, target.surface, inverse(poses), num_points)
     poses = poses[np.argsort(-score, kind="stable")]
-    chosen: list[int] = []
-    apart = np.ones(len(poses), np.bool_)
-    for index in range(len(poses)):
-        if apart[index]:
-            chosen.append(index)
-            if len(chosen) == count:
-                break
-            apart &= differ(poses[index], poses, centre, SAME_CELLS, SAME_DEGREES)
-    return poses[chosen]
+    return poses[distinct(poses, centre, SAME_CELLS, SAME_DEGREES, count)]
 
 
 def _rough_score(field: SurfaceField, surface: Surface, poses: Poses, num_points: int) -> Poses:

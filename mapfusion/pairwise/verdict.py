@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -10,46 +11,44 @@ from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS
 from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.scrutiny import log_gain
 from mapfusion.pairwise.search import Finding
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2, FloatArray
 
 MIN_WALL_CELLS = 40
 """A map with less wall than this beside free space says nothing."""
-MIN_EVIDENCE = 25.0
+MIN_EVIDENCE = 20.0
 """Net evidence below which agreement is no better than what a search finds between any two maps."""
 MIN_CONDITIONING = 0.03
 """Least smallest / largest eigenvalue of what the agreeing walls fix of the translation."""
-MAX_CONTRADICTION = 0.45
+MAX_CONTRADICTION = 0.6
 """Most walls in the other map's free space, as a share of what chance would put there."""
-MIN_DISTINCTNESS = 2.2
-"""A different alignment with more than 1 / this of the evidence makes a pair ambiguous, whatever the confidence.
-
-Measured on views of loops that look alike after half a turn: there the wrong alignment reaches 2.1 times the evidence
-of the right one.
-"""
-KNOWN_DISTINCTNESS = 3.0
+MIN_MARGIN = 0.5
+"""Least plausibility over that of the best different alignment: below it the two are the same to us."""
+MAX_MARGIN, MAX_LOG_RATIO = 4.0, 2.0
+"""Plausibility and logarithm of net evidence over a rival's from which on it is none."""
+KNOWN_MARGIN, KNOWN_LOG_RATIO = 3.0, 1.1
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
-MAX_SLACK_DEGREES = 2.0
-"""Most rotation that may be open where the maps, bent or small, are explained as well by neighbouring alignments."""
-ENOUGH_LINES = 32.0
-"""More walls than this say nothing more: large maps have many, wherever they lie."""
-ENOUGH_DISTINCTNESS = 4.0
-"""A rival with less than 1 / this of the evidence is none."""
-MIN_CONFIDENCE = 0.9
+MIN_CONFIDENCE = 0.85
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
 """Cells are no points: walls are not placed better than this."""
 
-BIAS = -11.85
-WEIGHT_EVIDENCE = 0.418
-WEIGHT_DISTINCTNESS = 4.146
-WEIGHT_AGREEMENT = 3.39
-WEIGHT_CONTRADICTION = -4.31
-WEIGHT_CRISP_CONTRADICTION = -6.0
-WEIGHT_OVERLAP = 1.017
-WEIGHT_LINES = 2.0
+BIAS = -11.57
+WEIGHT_NET = 0.736
+WEIGHT_GAIN = 0.915
+WEIGHT_LINES = 2.846
+WEIGHT_CROSSING = -3.966
+WEIGHT_MARGIN = 0.749
+WEIGHT_RATIO = 0.627
+WEIGHT_RESIDUAL = -0.146
+WEIGHT_OPPOSITE = -16.791
+WEIGHT_DISAGREEMENT = 0.953
+WEIGHT_OVERLAP = 2.420
+WEIGHT_OUTSIDE = 6.096
+WEIGHT_CONDITIONING = 0.966
 """Weights of the logistic model of `confidence`; benchmarks/RESULTS.md says what they were fitted on."""
 
 
@@ -78,7 +77,9 @@ def judge(
     cells: Agreement,
 ) -> PairFusion:
     """The verdict on the best pose that was found, `T_target_source`, and its rival."""
-    confidence = _confidence(finding)
+    figures = finding.best.figures
+    margin, log_ratio = _distinctness(finding)
+    confidence = _confidence(figures, margin, log_ratio)
     gate, reason = _refusal(config, finding, confidence, cells)
     if gate and gate != "confidence":
         confidence = min(confidence, REFUSED_CONFIDENCE)
@@ -98,42 +99,51 @@ def judge(
         covariance=_covariance(target, source, finding, T_target_source),
         resolution_m=target.grid.resolution_m,
         rival=rival if gate == "ambiguous" else None,
-        evidence={
-            **finding.figures,
-            "distinctness": _distinctness(finding),
-            "slack_deg": math.degrees(finding.slack_rad),
-        },
+        evidence={**figures, "margin": margin, "rival_ratio": math.exp(-log_ratio)},
     )
 
 
-def _distinctness(finding: Finding) -> float:
-    """Net evidence over that of the best different alignment, at most ENOUGH_DISTINCTNESS."""
-    if finding.rival_net is None:
-        return KNOWN_DISTINCTNESS
-    return min(max(finding.figures["net"], 1e-9) / max(finding.rival_net, 1e-9), ENOUGH_DISTINCTNESS)
+def _distinctness(finding: Finding) -> tuple[float, float]:
+    """Plausibility and logarithm of net evidence over those of the best different alignment, bounded."""
+    if not finding.is_searched:
+        return KNOWN_MARGIN, KNOWN_LOG_RATIO
+    if finding.rival is None:
+        return MAX_MARGIN, MAX_LOG_RATIO
+    margin = finding.best.plausibility - finding.rival.plausibility
+    log_ratio = _log(finding.best.figures["net"]) - _log(finding.rival.figures["net"])
+    return min(max(margin, 0.0), MAX_MARGIN), min(max(log_ratio, -1.0), MAX_LOG_RATIO)
 
 
-def _confidence(finding: Finding) -> float:
+def _log(evidence: float) -> float:
+    return math.log(max(evidence, 1.0))
+
+
+def _confidence(figures: Mapping[str, float], margin: float, log_ratio: float) -> float:
     """Logistic model; each figure is held to the range in which it tells right from wrong."""
-    figures = finding.figures
-    # Walls that fit to a cell have no bend to excuse what contradicts.
-    crispness = min(figures["ratio_fine"] / max(figures["ratio"], 1e-3), 1.0)
+    # A run of wall across free space is to be seen against the size of what is compared.
+    crossing = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
     x = (
         BIAS
-        + WEIGHT_EVIDENCE * math.log(max(figures["net"], 1.0))
-        + WEIGHT_DISTINCTNESS * math.log(_distinctness(finding))
-        + WEIGHT_AGREEMENT * figures["ratio"]
-        + WEIGHT_CONTRADICTION * figures["contradiction"]
-        + WEIGHT_CRISP_CONTRADICTION * figures["contradiction_fine"] * crispness**2
-        + WEIGHT_OVERLAP * math.log(min(max(figures["mutual_ratio"], 0.01), 0.6))
-        + WEIGHT_LINES * math.log(min(max(figures["lines"], 1.0), ENOUGH_LINES))
+        + WEIGHT_NET * _log(figures["net"])
+        + WEIGHT_GAIN * log_gain(figures)
+        + WEIGHT_LINES * min(_log(figures["lines"]), 3.5)
+        + WEIGHT_CROSSING * math.log1p(crossing)
+        + WEIGHT_MARGIN * margin
+        + WEIGHT_RATIO * log_ratio
+        + WEIGHT_RESIDUAL * figures["residual_cells"]
+        + WEIGHT_OPPOSITE * figures["opposite"]
+        + WEIGHT_DISAGREEMENT * math.log(1.05 - figures["agreement_weaker"])
+        + WEIGHT_OVERLAP * math.log(max(figures["mutual_ratio"], 0.01))
+        + WEIGHT_OUTSIDE * figures["outside"]
+        + WEIGHT_CONDITIONING * min(max(math.log(max(figures["conditioning"], 1e-3)), -3.5), -1.0)
     )
     return 1.0 / (1.0 + math.exp(-x))
 
 
 def _refusal(config: FusionConfig, finding: Finding, confidence: float, cells: Agreement) -> tuple[str, str]:
     """Gate and reason; both empty where nothing speaks against the fusion."""
-    figures, distinctness = finding.figures, _distinctness(finding)
+    figures = finding.best.figures
+    margin, log_ratio = _distinctness(finding)
     agreement = f"{figures['ratio']:.0%} of the walls in the common area agree, {figures['chance']:.0%} would by chance"
     if cells.mae is None:
         return "no overlap", "the best alignment leaves no cell that both maps know"
@@ -151,23 +161,19 @@ def _refusal(config: FusionConfig, finding: Finding, confidence: float, cells: A
             "walls agree in one direction only: a straight wall or corridor fixes nothing along itself "
             f"(constraint along / across {figures['conditioning']:.3f}, at least {MIN_CONDITIONING} is needed)"
         )
-    if distinctness < MIN_DISTINCTNESS:
+    without_rival = _confidence(figures, MAX_MARGIN, MAX_LOG_RATIO)
+    if margin < MIN_MARGIN or confidence < MIN_CONFIDENCE <= without_rival:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
-            f"({1.0 / distinctness:.2f} of the evidence, at most {1.0 / MIN_DISTINCTNESS:.2f}); the best: {agreement}"
-        )
-    if finding.slack_rad > math.radians(MAX_SLACK_DEGREES):
-        return "imprecise", (
-            f"alignments that differ by {math.degrees(finding.slack_rad):.1f} degrees fit equally well "
-            f"(at most {MAX_SLACK_DEGREES:g}): the maps are bent, or their common area is too small to fix the rotation"
+            f"({math.exp(-log_ratio):.2f} of the evidence); the best: {agreement}"
         )
     if confidence < MIN_CONFIDENCE:
         return "confidence", (
             f"not sure enough ({confidence:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, along about "
-            f"{figures['lines']:.0f} different wall faces, "
-            f"{figures['mutual_ratio']:.0%} of the smaller map in common, walls in the other's free space "
-            f"{figures['contradiction']:.0%} of chance, the best different alignment has "
-            f"{1.0 / distinctness:.2f} of the evidence"
+            f"{figures['lines']:.0f} different wall faces; {figures['opposite']:.0%} lie on walls seen from the other "
+            f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
+            f"{figures['mutual_ratio']:.0%} of the smaller map in common, the best different alignment has "
+            f"{math.exp(-log_ratio):.2f} of the evidence"
         )
     return "", ""
 
@@ -178,7 +184,7 @@ def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_ta
     The information matrix counts wall cells; neighbouring ones err together, so DEPENDENT_CELLS of them count as one.
     """
     resolution_m = target.grid.resolution_m
-    variance = DEPENDENT_CELLS * max(finding.figures["residual_cells"], MIN_RESIDUAL_CELLS) ** 2
+    variance = DEPENDENT_CELLS * max(finding.best.figures["residual_cells"], MIN_RESIDUAL_CELLS) ** 2
     at_centre = variance * np.linalg.inv(finding.information + 1e-3 * np.eye(3))
     turn = SE2(0.0, 0.0, target.grid.T_frame_grid.yaw_rad).matrix()
     to_metres = turn * np.array([resolution_m, resolution_m, 1.0])

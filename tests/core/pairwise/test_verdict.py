@@ -10,7 +10,7 @@ import pytest
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.search import Finding
+from mapfusion.pairwise.search import Candidate, Finding
 from mapfusion.pairwise.verdict import judge, too_little
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
@@ -28,7 +28,13 @@ GOOD = {
     "mutual_ratio": 0.5,
     "tolerance_cells": 1.5,
     "residual_cells": 0.5,
+    "num_walls": 3000.0,
     "lines": 30.0,
+    "agreement_weaker": 0.85,
+    "opposite": 0.01,
+    "crossing_cells": 0.0,
+    "crossing": 0.0,
+    "outside": 0.4,
 }
 AGREEMENT = Agreement(mae=5.0, overlap_cells=10_000, overlap_ratio=0.5, resolution_m=0.1)
 RIVAL = SE2(1.0, 2.0, 3.0)
@@ -40,7 +46,9 @@ def place() -> PreparedMap:
 
 
 def finding(rival_net: float | None = 30.0, **figures: float) -> Finding:
-    return Finding(np.zeros(3), GOOD | figures, 1000.0 * np.eye(3), np.zeros(3), rival_net)
+    """A search's finding; one that was only verified where `rival_net` is None."""
+    rival = None if rival_net is None else Candidate(np.zeros(3), GOOD | {"net": rival_net, "ratio": 0.4, "lines": 8.0})
+    return Finding(Candidate(np.zeros(3), GOOD | figures), 1000.0 * np.eye(3), rival, rival_net is not None)
 
 
 def judged(place: PreparedMap, found: Finding, mae_threshold: float | None = None) -> PairFusion:
@@ -59,18 +67,17 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
     ("gate", "found"),
     [
         ("chance", finding(net=10.0, rival_net=5.0)),
-        ("contradiction", finding(contradiction=0.6)),
+        ("contradiction", finding(contradiction=0.7)),
         ("one direction", finding(conditioning=0.001)),
-        ("ambiguous", finding(rival_net=200.0)),
-        ("imprecise", replace(finding(), slack_rad=0.05)),
-        ("confidence", finding(net=30.0, rival_net=10.0, contradiction=0.3, mutual_ratio=0.05)),
+        ("ambiguous", replace(finding(), rival=finding().best)),
+        ("confidence", finding(net=30.0, lines=8.0, rival_net=10.0, crossing_cells=40.0, mutual_ratio=0.05)),
     ],
 )
 def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, found: Finding) -> None:
     result = judged(place, found)
     assert (result.accepted, result.gate) == (False, gate)
     assert any(c.isdigit() for c in result.reason)
-    assert result.confidence < 0.9
+    assert result.confidence < 0.85
     assert (result.rival == RIVAL) == (gate == "ambiguous")
 
 
@@ -81,10 +88,26 @@ def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
 
 @pytest.mark.parametrize(
     "better",
-    [{"net": 600.0}, {"contradiction": 0.0}, {"mutual_ratio": 0.3}, {"lines": 30.0}, {"rival_net": 20.0}],
+    [
+        {"net": 600.0},
+        {"lines": 30.0},
+        {"mutual_ratio": 0.3},
+        {"opposite": 0.0},
+        {"crossing_cells": 0.0},
+        {"conditioning": 0.5},
+        {"rival_net": 5.0},
+    ],
 )
 def test_confidence_grows_with_every_kind_of_evidence(place: PreparedMap, better: dict[str, float]) -> None:
-    worse = {"net": 60.0, "contradiction": 0.1, "mutual_ratio": 0.2, "lines": 20.0, "rival_net": 25.0}
+    worse = {
+        "net": 60.0,
+        "lines": 15.0,
+        "mutual_ratio": 0.2,
+        "opposite": 0.05,
+        "crossing_cells": 20.0,
+        "conditioning": 0.1,
+        "rival_net": 25.0,
+    }
     assert judged(place, finding(**(worse | better))).confidence > judged(place, finding(**worse)).confidence
 
 

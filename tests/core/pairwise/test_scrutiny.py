@@ -1,0 +1,84 @@
+"""What a closer look at a pose finds, on walls drawn for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapfusion.grid import Cells
+from mapfusion.pairwise.prepared import prepare
+from mapfusion.pairwise.scrutiny import Scrutiny, plausibility, scrutinise
+from mapfusion.pairwise.surface import SurfaceField
+from tests.fakes import flat, grid_of, rooms
+
+AS_IT_IS = np.zeros(3)
+
+
+def field_of(cells: Cells) -> SurfaceField:
+    field = prepare(grid_of(cells), 0.1).field
+    assert field is not None
+    return field
+
+
+def look(target: Cells, source: Cells) -> Scrutiny:
+    return scrutinise(field_of(target), field_of(source), AS_IT_IS, 1.5)
+
+
+def corridor(width: int = 20) -> Cells:
+    """A corridor of 200 cells along x, its walls 3 cells thick, with open ends."""
+    cells = flat(width + 6, 200, 0)
+    cells[:3] = cells[-3:] = 100
+    return cells
+
+
+def test_a_map_agrees_with_itself() -> None:
+    found = look(rooms(seed=3), rooms(seed=3))
+    assert found.agreement_weaker == 1.0
+    assert (found.crossing, found.crossing_cells, found.opposite, found.outside) == (0.0, 0.0, 0.0, 0.0)
+    assert found.lines > 12.0
+
+
+def test_a_corner_is_two_walls_however_long() -> None:
+    for length in (60, 200):
+        corner = flat(length + 20, length + 20, -1)
+        corner[3:length, 3:length] = 0
+        corner[:3, :length] = corner[:length, :3] = 100
+        assert look(corner, corner).lines == pytest.approx(2.0, abs=0.3)
+
+
+def test_nothing_agrees_where_maps_do_not_meet() -> None:
+    field = field_of(rooms(seed=3))
+    found = scrutinise(field, field, np.array([1000.0, 0.0, 0.0]), 1.5)
+    assert (found.lines, found.agreement_weaker, found.outside) == (0.0, 0.0, 1.0)
+
+
+def test_a_wall_across_a_passage_is_a_run_of_its_length() -> None:
+    closed = corridor(30)
+    closed[3:-3, 100:103] = 100
+    found = look(corridor(30), closed)
+    # What lies within NEAR_CELLS of the corridor's walls does not count: 30 - 2 x 4, seen from both sides.
+    assert 20 <= found.crossing_cells <= 52
+    assert found.crossing > 0.02
+    assert look(corridor(30), corridor(30)).crossing == 0.0
+
+
+def test_a_wall_that_moved_sideways_does_not_cross() -> None:
+    moved = corridor(40)
+    moved[3:11] = 100  # the lower wall stands 8 cells further in
+    found = look(corridor(40), moved)
+    assert found.crossing_cells < 8
+    assert found.agreement_weaker < 0.6
+
+
+def test_walls_seen_from_the_other_side_are_counted() -> None:
+    inside, outside = corridor(20), flat(26, 200, 0)
+    outside[3:-3] = 100  # the same two faces, with the free space where the other one has wall
+    outside[:3] = outside[-3:] = 0
+    assert look(inside, outside).opposite > 0.8
+    assert look(inside, inside).opposite == 0.0
+
+
+def test_less_crossing_and_more_walls_are_more_plausible() -> None:
+    figures = {"net": 100.0, "crossing": 0.05, "lines": 20.0, "ratio": 0.8, "chance": 0.1}
+    for better in ({"net": 200.0}, {"crossing": 0.0}, {"lines": 30.0}, {"ratio": 0.9}, {"chance": 0.05}):
+        assert plausibility(figures | better) > plausibility(figures)
