@@ -23,6 +23,8 @@ from mapfusion.pairwise.surface import NOT_KNOWN, Floats, Indices, SurfaceField
 TOLERANCES_CELLS = (1.5, 3.0, 6.0)
 DEPENDENT_CELLS = 12.0
 """Length of wall over which neighbouring cells agree or disagree together, an estimate."""
+MIN_EVIDENCE = 20.0
+"""Net evidence below which agreement is no better than what a search finds between any two maps."""
 DEEP_TOLERANCES = 2.0
 """A wall this many tolerances inside the other map's free space contradicts it."""
 MIN_DEEP_CHANCE = 0.2

@@ -19,8 +19,11 @@ Poses = npt.NDArray[np.float64]
 
 def rotations(poses: Poses) -> npt.NDArray[np.float32]:
     """(K, 2, 2) rotation matrices of (K, 3) poses."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2).astype(np.float32)
+    R = np.empty((len(poses), 2, 2), np.float32)
+    R[:, 0, 0] = R[:, 1, 1] = np.cos(poses[:, 2])
+    R[:, 1, 0] = np.sin(poses[:, 2])
+    R[:, 0, 1] = -R[:, 1, 0]
+    return R
 
 
 def moved(poses: Poses, points: Points) -> Points:

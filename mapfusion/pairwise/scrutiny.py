@@ -10,7 +10,6 @@ one, seen from the other side, is a neighbour's.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -28,12 +27,6 @@ MIN_RUN_CELLS = 8
 NUM_DIRECTIONS = 24
 OFFSET_CELLS = 8.0
 """Walls count as one where their directions and their offsets fall into one bin."""
-
-WEIGHT_NET = 0.857
-WEIGHT_CROSSING = -1.366
-WEIGHT_LINES = 1.304
-WEIGHT_GAIN = 1.359
-"""Weights of `plausibility`, fitted to choose the right one among the candidates of a pair; see RESULTS.md."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,24 +67,6 @@ def scrutinise(target: SurfaceField, source: SurfaceField, pose: Poses, toleranc
         crossing=sum(run for run in runs if run >= MIN_RUN_CELLS) / num_known,
         outside=min(1.0 - one.num_known / max(1, one.num_walls) for one in both),
     )
-
-
-def plausibility(figures: Mapping[str, float]) -> float:
-    """By how much a pose with these figures of Evidence and Scrutiny is to be preferred, as a log-odds.
-
-    Only differences between poses of one pair mean anything.
-    """
-    return (
-        WEIGHT_NET * math.log(max(figures["net"], 1.0))
-        + WEIGHT_CROSSING * math.log(figures["crossing"] + 0.01)
-        + WEIGHT_LINES * math.log(max(figures["lines"], 1.0))
-        + WEIGHT_GAIN * log_gain(figures)
-    )
-
-
-def log_gain(figures: Mapping[str, float]) -> float:
-    """Logarithm of how many times more walls agree than by chance."""
-    return math.log(max(figures["ratio"], 0.02) / max(figures["chance"], 0.01))
 
 
 @dataclass(frozen=True, slots=True)

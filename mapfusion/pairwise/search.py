@@ -7,17 +7,18 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from mapfusion.pairwise.confidence import plausibility
 from mapfusion.pairwise.correlation import correlate
-from mapfusion.pairwise.evidence import Evidence, against_chance, discounted, weigh
+from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, against_chance, discounted, weigh
 from mapfusion.pairwise.poses import Poses, differ, distinct, inverse
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import encounters, refine
-from mapfusion.pairwise.scrutiny import plausibility, scrutinise
+from mapfusion.pairwise.scrutiny import scrutinise
 from mapfusion.pairwise.surface import NOT_KNOWN, Surface, SurfaceField
 from mapfusion.pairwise.voting import Matches, count_inliers, vote
 
 NUM_VOTED = 60
-NUM_ROTATIONS = 20
+NUM_ROTATIONS = 12
 NUM_CORRELATED = 60
 NUM_STARTS = 24
 NUM_CANDIDATES = 8
@@ -38,7 +39,7 @@ DISTINCT_SHARE = 0.04
 DISTINCT_DEGREES = 10.0
 REFINED_DEGREES = 3.0
 NUM_SCRUTINISED = 5
-WORTH_SHARE = 0.1
+WORTH_SHARE = 0.2
 """A pose with less than this share of the best one's evidence is not looked at more closely."""
 
 
@@ -119,8 +120,10 @@ def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses)
     poses = np.concatenate([tight, wide])
     evidence = weigh(target, source, poses, EVIDENCE_POINTS)
     order = np.argsort(-evidence.net, kind="stable")
-    worth = order[evidence.net[order] >= WORTH_SHARE * evidence.net[order[0]]]
-    chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, NUM_SCRUTINISED)]
+    most = evidence.net[order[0]]
+    worth = order[evidence.net[order] >= WORTH_SHARE * most]
+    count = NUM_SCRUTINISED if most >= MIN_EVIDENCE else 1
+    chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, count)]
     candidates = [_candidate(target, source, poses[k], evidence, int(k)) for k in chosen]
     return sorted(candidates, key=lambda one: -one.plausibility)
 

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.evidence import DEPENDENT_CELLS
+from mapfusion.pairwise.confidence import MAX_LOG_RATIO, MAX_MARGIN, confidence, distinctness
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap
-from mapfusion.pairwise.scrutiny import log_gain
 from mapfusion.pairwise.search import Finding
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2, FloatArray
 
 MIN_WALL_CELLS = 40
 """A map with less wall than this beside free space says nothing."""
-MIN_EVIDENCE = 20.0
-"""Net evidence below which agreement is no better than what a search finds between any two maps."""
 MIN_CONDITIONING = 0.03
 """Least smallest / largest eigenvalue of what the agreeing walls fix of the translation."""
 MAX_CONTRADICTION = 0.6
 """Most walls in the other map's free space, as a share of what chance would put there."""
 MIN_MARGIN = 0.5
 """Least plausibility over that of the best different alignment: below it the two are the same to us."""
-MAX_MARGIN, MAX_LOG_RATIO = 4.0, 2.0
-"""Plausibility and logarithm of net evidence over a rival's from which on it is none."""
 KNOWN_MARGIN, KNOWN_LOG_RATIO = 3.0, 1.1
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_CONFIDENCE = 0.85
@@ -35,21 +30,6 @@ REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
 """Cells are no points: walls are not placed better than this."""
-
-BIAS = -11.57
-WEIGHT_NET = 0.736
-WEIGHT_GAIN = 0.915
-WEIGHT_LINES = 2.846
-WEIGHT_CROSSING = -3.966
-WEIGHT_MARGIN = 0.749
-WEIGHT_RATIO = 0.627
-WEIGHT_RESIDUAL = -0.146
-WEIGHT_OPPOSITE = -16.791
-WEIGHT_DISAGREEMENT = 0.953
-WEIGHT_OVERLAP = 2.420
-WEIGHT_OUTSIDE = 6.096
-WEIGHT_CONDITIONING = 0.966
-"""Weights of the logistic model of `confidence`; benchmarks/RESULTS.md says what they were fitted on."""
 
 
 def too_little(target: PreparedMap, source: PreparedMap) -> PairFusion | None:
@@ -79,16 +59,16 @@ def judge(
     """The verdict on the best pose that was found, `T_target_source`, and its rival."""
     figures = finding.best.figures
     margin, log_ratio = _distinctness(finding)
-    confidence = _confidence(figures, margin, log_ratio)
-    gate, reason = _refusal(config, finding, confidence, cells)
+    trust = confidence(figures, margin, log_ratio)
+    gate, reason = _refusal(config, finding, trust, cells)
     if gate and gate != "confidence":
-        confidence = min(confidence, REFUSED_CONFIDENCE)
+        trust = min(trust, REFUSED_CONFIDENCE)
     return PairFusion(
         accepted=not gate,
         reason=reason,
         gate=gate,
         T_target_source=T_target_source,
-        confidence=confidence,
+        confidence=trust,
         mae=cells.mae,
         overlap_ratio=cells.overlap_ratio,
         overlap_cells=cells.overlap_cells,
@@ -104,43 +84,13 @@ def judge(
 
 
 def _distinctness(finding: Finding) -> tuple[float, float]:
-    """Plausibility and logarithm of net evidence over those of the best different alignment, bounded."""
+    """Margin and logarithm of the ratio over the rival, as in `distinctness`."""
     if not finding.is_searched:
         return KNOWN_MARGIN, KNOWN_LOG_RATIO
-    if finding.rival is None:
-        return MAX_MARGIN, MAX_LOG_RATIO
-    margin = finding.best.plausibility - finding.rival.plausibility
-    log_ratio = _log(finding.best.figures["net"]) - _log(finding.rival.figures["net"])
-    return min(max(margin, 0.0), MAX_MARGIN), min(max(log_ratio, -1.0), MAX_LOG_RATIO)
+    return distinctness(finding.best.figures, None if finding.rival is None else finding.rival.figures)
 
 
-def _log(evidence: float) -> float:
-    return math.log(max(evidence, 1.0))
-
-
-def _confidence(figures: Mapping[str, float], margin: float, log_ratio: float) -> float:
-    """Logistic model; each figure is held to the range in which it tells right from wrong."""
-    # A run of wall across free space is to be seen against the size of what is compared.
-    crossing = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
-    x = (
-        BIAS
-        + WEIGHT_NET * _log(figures["net"])
-        + WEIGHT_GAIN * log_gain(figures)
-        + WEIGHT_LINES * min(_log(figures["lines"]), 3.5)
-        + WEIGHT_CROSSING * math.log1p(crossing)
-        + WEIGHT_MARGIN * margin
-        + WEIGHT_RATIO * log_ratio
-        + WEIGHT_RESIDUAL * figures["residual_cells"]
-        + WEIGHT_OPPOSITE * figures["opposite"]
-        + WEIGHT_DISAGREEMENT * math.log(1.05 - figures["agreement_weaker"])
-        + WEIGHT_OVERLAP * math.log(max(figures["mutual_ratio"], 0.01))
-        + WEIGHT_OUTSIDE * figures["outside"]
-        + WEIGHT_CONDITIONING * min(max(math.log(max(figures["conditioning"], 1e-3)), -3.5), -1.0)
-    )
-    return 1.0 / (1.0 + math.exp(-x))
-
-
-def _refusal(config: FusionConfig, finding: Finding, confidence: float, cells: Agreement) -> tuple[str, str]:
+def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreement) -> tuple[str, str]:
     """Gate and reason; both empty where nothing speaks against the fusion."""
     figures = finding.best.figures
     margin, log_ratio = _distinctness(finding)
@@ -161,15 +111,15 @@ def _refusal(config: FusionConfig, finding: Finding, confidence: float, cells: A
             "walls agree in one direction only: a straight wall or corridor fixes nothing along itself "
             f"(constraint along / across {figures['conditioning']:.3f}, at least {MIN_CONDITIONING} is needed)"
         )
-    without_rival = _confidence(figures, MAX_MARGIN, MAX_LOG_RATIO)
-    if margin < MIN_MARGIN or confidence < MIN_CONFIDENCE <= without_rival:
+    without_rival = confidence(figures, MAX_MARGIN, MAX_LOG_RATIO)
+    if margin < MIN_MARGIN or trust < MIN_CONFIDENCE <= without_rival:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
             f"({math.exp(-log_ratio):.2f} of the evidence); the best: {agreement}"
         )
-    if confidence < MIN_CONFIDENCE:
+    if trust < MIN_CONFIDENCE:
         return "confidence", (
-            f"not sure enough ({confidence:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, along about "
+            f"not sure enough ({trust:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, along about "
             f"{figures['lines']:.0f} different wall faces; {figures['opposite']:.0%} lie on walls seen from the other "
             f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, the best different alignment has "

@@ -7,7 +7,7 @@ import pytest
 
 from mapfusion.grid import Cells
 from mapfusion.pairwise.prepared import prepare
-from mapfusion.pairwise.scrutiny import Scrutiny, plausibility, scrutinise
+from mapfusion.pairwise.scrutiny import Scrutiny, scrutinise
 from mapfusion.pairwise.surface import SurfaceField
 from tests.fakes import flat, grid_of, rooms
 
@@ -76,9 +76,3 @@ def test_walls_seen_from_the_other_side_are_counted() -> None:
     outside[:3] = outside[-3:] = 0
     assert look(inside, outside).opposite > 0.8
     assert look(inside, inside).opposite == 0.0
-
-
-def test_less_crossing_and_more_walls_are_more_plausible() -> None:
-    figures = {"net": 100.0, "crossing": 0.05, "lines": 20.0, "ratio": 0.8, "chance": 0.1}
-    for better in ({"net": 200.0}, {"crossing": 0.0}, {"lines": 30.0}, {"ratio": 0.9}, {"chance": 0.05}):
-        assert plausibility(figures | better) > plausibility(figures)

@@ -1,0 +1,73 @@
+"""The two models of the verdict: what speaks for an alignment, and what against it."""
+
+from __future__ import annotations
+
+import pytest
+
+from mapfusion.pairwise.confidence import (
+    CONFIDENCE,
+    MAX_LOG_RATIO,
+    MAX_MARGIN,
+    PLAUSIBILITY,
+    confidence,
+    confidence_terms,
+    distinctness,
+    plausibility,
+    plausibility_terms,
+)
+
+FIGURES = {
+    "net": 100.0,
+    "ratio": 0.8,
+    "chance": 0.1,
+    "lines": 15.0,
+    "crossing": 0.05,
+    "crossing_cells": 20.0,
+    "num_walls": 2000.0,
+    "residual_cells": 0.8,
+    "opposite": 0.05,
+    "agreement_weaker": 0.7,
+    "mutual_ratio": 0.4,
+    "outside": 0.5,
+    "conditioning": 0.1,
+}
+
+
+def test_every_term_has_a_weight() -> None:
+    assert plausibility_terms(FIGURES).keys() == PLAUSIBILITY.keys()
+    assert confidence_terms(FIGURES, 1.0, 1.0).keys() == CONFIDENCE.keys()
+
+
+@pytest.mark.parametrize(
+    "better", [{"net": 200.0}, {"crossing": 0.0}, {"lines": 30.0}, {"ratio": 0.9}, {"chance": 0.05}]
+)
+def test_plausibility_grows_with_what_speaks_for_a_pose(better: dict[str, float]) -> None:
+    assert plausibility(FIGURES | better) > plausibility(FIGURES)
+
+
+@pytest.mark.parametrize(
+    "better",
+    [
+        {"net": 200.0},
+        {"lines": 25.0},
+        {"crossing_cells": 0.0},
+        {"opposite": 0.0},
+        {"mutual_ratio": 0.6},
+        {"conditioning": 0.3},
+    ],
+)
+def test_confidence_grows_with_what_speaks_for_a_pose(better: dict[str, float]) -> None:
+    assert confidence(FIGURES | better, 2.0, 1.0) > confidence(FIGURES, 2.0, 1.0)
+
+
+def test_a_close_rival_takes_confidence() -> None:
+    weak, close = FIGURES | {"net": 5.0, "lines": 4.0, "ratio": 0.3}, FIGURES | {"net": 90.0}
+    assert distinctness(FIGURES, None) == (MAX_MARGIN, MAX_LOG_RATIO)
+    assert distinctness(FIGURES, FIGURES) == (0.0, 0.0)
+    assert confidence(FIGURES, *distinctness(FIGURES, weak)) > confidence(FIGURES, *distinctness(FIGURES, close))
+
+
+def test_nothing_at_all_is_no_error_and_no_confidence() -> None:
+    nothing = dict.fromkeys(FIGURES, 0.0)
+    assert confidence(nothing, 0.0, 0.0) < 0.001
+    assert plausibility(nothing) < plausibility(FIGURES)
