@@ -11,23 +11,23 @@ from collections.abc import Mapping
 
 Figures = Mapping[str, float]
 
-PLAUSIBILITY = {"net": 0.857, "crossing": -1.366, "lines": 1.304, "gain": 1.359}
+PLAUSIBILITY = {"net": 0.902, "crossing": -1.315, "lines": 1.486, "gain": 1.647}
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -11.57,
-    "net": 0.736,
-    "gain": 0.915,
-    "lines": 2.846,
-    "crossing": -3.966,
-    "margin": 0.749,
-    "ratio": 0.627,
-    "residual": -0.146,
-    "opposite": -16.791,
-    "disagreement": 0.953,
-    "overlap": 2.420,
-    "outside": 6.096,
-    "conditioning": 0.966,
+    "bias": -11.162,
+    "net": 0.778,
+    "gain": 0.627,
+    "lines": 2.557,
+    "crossing": -3.388,
+    "margin": 0.917,
+    "ratio": 0.248,
+    "residual": -0.241,
+    "opposite": -19.668,
+    "disagreement": 0.893,
+    "overlap": 2.428,
+    "outside": 6.271,
+    "conditioning": 0.608,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 

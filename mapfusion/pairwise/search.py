@@ -38,6 +38,9 @@ DISTINCT_CELLS = 10.0
 DISTINCT_SHARE = 0.04
 DISTINCT_DEGREES = 10.0
 REFINED_DEGREES = 3.0
+SLIDING_CONDITIONING = 0.15
+"""Walls that fix one direction less than this share of the other may let a pose slide."""
+SLIDES_CELLS = (8.0, 12.0, 16.0, 20.0, 26.0, 32.0, 40.0, 50.0)
 NUM_SCRUTINISED = 5
 WORTH_SHARE = 0.2
 """A pose with less than this share of the best one's evidence is not looked at more closely."""
@@ -119,6 +122,10 @@ def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses)
     tight, _ = refine(target.field, source.field, wide, source.centre, TIGHT_REACHES, FINE_POINTS)
     poses = np.concatenate([tight, wide])
     evidence = weigh(target, source, poses, EVIDENCE_POINTS)
+    best = int(evidence.net.argmax())
+    if evidence.conditioning[best] < SLIDING_CONDITIONING:
+        poses = np.concatenate([poses, _slid(target.field, source.field, poses[best], source.centre)])
+        evidence = weigh(target, source, poses, EVIDENCE_POINTS)
     order = np.argsort(-evidence.net, kind="stable")
     most = evidence.net[order[0]]
     worth = order[evidence.net[order] >= WORTH_SHARE * most]
@@ -126,6 +133,16 @@ def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses)
     chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, count)]
     candidates = [_candidate(target, source, poses[k], evidence, int(k)) for k in chosen]
     return sorted(candidates, key=lambda one: -one.plausibility)
+
+
+def _slid(target: SurfaceField, source: SurfaceField, pose: Poses, centre: Poses) -> Poses:
+    """The pose (3,) moved along the direction in which its walls hold it least, both ways, and refined there (K, 3)."""
+    (there,), (information,) = refine(target, source, pose[None], centre, TIGHT_REACHES, FINE_POINTS)
+    along = np.linalg.eigh(information[:2, :2])[1][:, 0]
+    steps = np.concatenate([SLIDES_CELLS, np.negative(SLIDES_CELLS)])
+    slid = np.tile(there, (len(steps), 1))
+    slid[:, :2] += steps[:, None] * along
+    return refine(target, source, slid, centre, TIGHT_REACHES, FINE_POINTS)[0]
 
 
 def recheck(target: PreparedMap, source: PreparedMap, pose: Poses) -> Finding:

@@ -25,7 +25,7 @@ MIN_MARGIN = 0.5
 """Least plausibility over that of the best different alignment: below it the two are the same to us."""
 KNOWN_MARGIN, KNOWN_LOG_RATIO = 3.0, 1.1
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
-MIN_CONFIDENCE = 0.85
+MIN_CONFIDENCE = 0.8
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
