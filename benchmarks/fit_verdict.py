@@ -170,7 +170,7 @@ def _halves(pair: Pair, gap_m: float | None, rng: np.random.Generator) -> tuple[
     else:
         high = np.quantile(along_a, rng.uniform(0.3, 0.6))
         low = high + gap_m
-    return _cut(pair.a, along_a >= high), _turned(_cut(pair.b, along_b <= low), rng.uniform(-math.pi, math.pi))
+    return _cut(pair.a, along_a >= high), turned(_cut(pair.b, along_b <= low), rng.uniform(-math.pi, math.pi))
 
 
 def _cut(grid: OccupancyGrid, gone: npt.NDArray[np.bool_]) -> OccupancyGrid:
@@ -179,7 +179,7 @@ def _cut(grid: OccupancyGrid, gone: npt.NDArray[np.bool_]) -> OccupancyGrid:
     return replace(grid, cells=cells)
 
 
-def _turned(grid: OccupancyGrid, angle_rad: float) -> OccupancyGrid:
+def turned(grid: OccupancyGrid, angle_rad: float) -> OccupancyGrid:
     """The same map in the same frame, sampled on a grid that is turned."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     corners = np.array([[c, -s], [s, c]]) @ np.array([[0, grid.width, 0, grid.width], [0, 0, grid.height, grid.height]])
@@ -226,14 +226,14 @@ def judge(pair: Pair) -> Judged:
     apart = [differ(pose, poses, source.centre, cells, search.DISTINCT_DEGREES) for pose in poses]
     for one in candidates:
         T = target.grid.T_frame_grid @ to_se2(one.pose, RESOLUTION_M) @ source.grid.T_frame_grid.inverse()
-        is_right, is_near = _compare(pair, T.inverse() if is_swapped else T)
+        is_right, is_near = compare(pair, T.inverse() if is_swapped else T)
         judged.figures.append(one.figures)
         judged.is_right.append(is_right)
         judged.is_near.append(is_near)
     return replace(judged, is_apart=np.array(apart))
 
 
-def _compare(pair: Pair, T: SE2) -> tuple[bool, bool]:
+def compare(pair: Pair, T: SE2) -> tuple[bool, bool]:
     """Whether a transform is right, and whether it is only near that."""
     if pair.T_a_b is None:
         return False, False

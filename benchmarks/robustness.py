@@ -1,0 +1,92 @@
+"""Recall and false joins on pairs of maps with known truth, as they are and with noise, turned or of another resolution.
+
+    python benchmarks/robustness.py PAIRS... --variants flipped-1 flipped-3 jittered
+    python benchmarks/robustness.py PAIRS... --variants turned-15 turned-30 turned-45
+    python benchmarks/robustness.py PAIRS... --variants coarse-b coarse-both
+
+PAIRS are folders as `fit_verdict.py` reads them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import zlib
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from fit_verdict import Pair, compare, read_pairs, turned
+
+from mapfusion import fuse_pair
+from mapfusion.grid import OccupancyGrid, resample
+
+COARSE_M = 0.1
+
+
+def flipped(grid: OccupancyGrid, share: float, rng: np.random.Generator) -> OccupancyGrid:
+    """A share of the known cells says the opposite."""
+    flip = grid.known & (rng.random(grid.cells.shape) < share)
+    return replace(grid, cells=np.where(flip, 100 - grid.cells, grid.cells).astype(np.int8))
+
+
+def jittered(grid: OccupancyGrid, rng: np.random.Generator) -> OccupancyGrid:
+    """Every wall cell moved by up to a cell; what it leaves is free."""
+    cells = np.where(grid.walls, 0, grid.cells).astype(np.int8)
+    rows, cols = np.nonzero(grid.walls)
+    rows = (rows + rng.integers(-1, 2, len(rows))).clip(0, grid.height - 1)
+    cols = (cols + rng.integers(-1, 2, len(cols))).clip(0, grid.width - 1)
+    cells[rows, cols] = 100
+    return replace(grid, cells=cells)
+
+
+def varied(pair: Pair, variant: str) -> Pair:
+    """The pair under a variant; its noise depends on the pair alone."""
+    name, _, amount = variant.partition("-")
+    rng = np.random.default_rng(zlib.crc32(pair.place.encode()))
+    a, b = pair.a, pair.b
+    if name == "flipped":
+        a, b = (flipped(one, float(amount) / 100.0, rng) for one in (a, b))
+    elif name == "jittered":
+        a, b = (jittered(one, rng) for one in (a, b))
+    elif name == "turned":
+        b = turned(b, math.radians(float(amount)))
+    elif name == "coarse":
+        b = resample(b, COARSE_M)
+        a = resample(a, COARSE_M) if amount == "both" else a
+    elif name != "plain":
+        raise SystemExit(f"no variant {variant}")
+    return replace(pair, a=a, b=b)
+
+
+def attempt(job: tuple[Pair, str]) -> tuple[bool, bool]:
+    """Whether the pair was joined, and whether the transform is right."""
+    cv2.setNumThreads(1)
+    pair = varied(*job)
+    result = fuse_pair(pair.a, pair.b)
+    T = result.T_target_source
+    return result.accepted, T is not None and compare(pair, T)[0]
+
+
+def main() -> None:
+    """Prints a row a folder and variant."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--variants", nargs="*", default=[])
+    parser.add_argument("--jobs", type=int, default=2)
+    args = parser.parse_args()
+    with ProcessPoolExecutor(args.jobs) as executor:
+        for folder in args.folders:
+            pairs = list(read_pairs(folder))
+            for variant in ["plain", *args.variants]:
+                found = list(executor.map(attempt, [(pair, variant) for pair in pairs], chunksize=4))
+                good = sum(joined and right for joined, right in found)
+                bad = sum(joined and not right for joined, right in found)
+                number = sum(pair.T_a_b is not None for pair in pairs)
+                print(f"{folder.name:14} {variant:12} joined rightly {good} of {number}, falsely {bad}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
