@@ -25,8 +25,11 @@ MAX_CONTRADICTIONS = 2
 """So many contradicted looks in a row end a join."""
 SAME_M, SAME_RAD = 0.5, np.radians(5.0)
 """Two looks within this, at the middle of b's area, found the same transform."""
-GROWTH = 0.1
-"""A refused pair is searched again when one of its maps has changed its known area by this share."""
+GROWTH, GROWTH_PER_REFUSAL, MAX_GROWTH = 0.1, 0.02, 0.5
+"""A refused pair is searched again when one of its maps has changed its known area by this share: the more, the more
+often it was refused, for most of them share no place or too little of it."""
+NEAR_MISS_CONFIDENCE = 0.2
+"""From this confidence on a refused pair is searched again as soon as after its first refusal."""
 NUM_TIES = 3
 """So many joins of a robot are followed; with more, every further one costs and adds hardly anything."""
 MAX_SEARCHES = 4
@@ -34,9 +37,9 @@ MAX_SEARCHES = 4
 DISPUTED_OVERLAP = 0.2
 DISPUTING_GATES = ("contradiction", "mae")
 """Maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
-FOLLOW_GROWTH = 0.02
-FOLLOW_NS = 10_000_000_000
-"""A join is verified anew when a map has changed its known area by this share, at the latest after this time."""
+FOLLOW_CHANGE = 0.05
+FOLLOW_NS = 30_000_000_000
+"""A join is verified anew when cells that are this share of a map have changed, at the latest after this time."""
 SETTLED_NS = 10_000_000_000
 """A fusion that nothing confirmed or contradicted for this long, because no map changed, joins."""
 
@@ -62,8 +65,10 @@ class _PairState:
     Attributes:
         versions: Of the two grids when the pair was looked at last.
         looked_ns: When that was.
-        looked_cells: Known cells of the two grids then.
+        looked_changed: Cells of the two robots' grids that had changed by then, see `NewestGrid`.
         searched_cells: Known cells of the two grids when it was searched last.
+        needed_growth: Share by which they have to change before it is searched again.
+        num_refusals: Searches in a row that were refused.
         candidate: An accepted fusion that waits for confirmation, and since when.
         edge: The join, while it holds.
         found: The search that led to it.
@@ -73,8 +78,10 @@ class _PairState:
 
     versions: tuple[int, int] = (0, 0)
     looked_ns: int = 0
-    looked_cells: tuple[int, int] = (0, 0)
+    looked_changed: tuple[int, int] = (0, 0)
     searched_cells: tuple[int, int] | None = None
+    needed_growth: float = GROWTH
+    num_refusals: int = 0
     candidate: tuple[PairFusion, int] | None = None
     edge: Edge | None = None
     found: PairFusion | None = None
@@ -109,12 +116,13 @@ class Joins:
             if frozenset(pair) in self.never or state.versions == _versions(pair, snapshot):
                 continue
             T_a_b = held[pair].T_a_b if pair in held else _predicted(pair, placements)
-            growth = math.inf if state.searched_cells is None else _changed(state.searched_cells, pair, snapshot)
-            if T_a_b is not None and not (state.is_disputed and growth > GROWTH):
+            growth = math.inf if state.searched_cells is None else _grown(state.searched_cells, pair, snapshot)
+            has_grown = growth > state.needed_growth
+            if T_a_b is not None and not (state.is_disputed and has_grown):
                 is_wanted = pair in held or min(num_ties[robot] for robot in pair) < NUM_TIES
                 if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
                     looks.append(Look(pair, T_a_b, state.found))
-            elif snapshot.is_last or state.candidate is not None or growth > GROWTH:
+            elif snapshot.is_last or state.candidate is not None or has_grown:
                 searches.append((growth, Look(pair, None)))
         if not snapshot.is_last:  # the others stay due
             searches = sorted(searches, key=lambda search: -search[0])[:MAX_SEARCHES]
@@ -125,14 +133,14 @@ class Joins:
         """Takes note of a look; returns what came of it in words, where a join began or ended."""
         state = self._states[look.pair]
         state.versions, state.looked_ns = _versions(look.pair, snapshot), snapshot.stamp_ns
-        state.looked_cells = _known_cells(look.pair, snapshot)
+        state.looked_changed = _changed_cells(look.pair, snapshot)
         if state.edge is not None:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
             state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
             state.is_disputed = fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
             return ""
-        state.searched_cells = state.looked_cells
+        state.searched_cells = _known_cells(look.pair, snapshot)
         return self._consider(state, look.pair, fusion, snapshot)
 
     def settle(self, snapshot: Snapshot) -> list[str]:
@@ -159,6 +167,8 @@ class Joins:
     def _consider(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
         if not fusion.accepted:
             state.candidate = None
+            state.num_refusals += 1
+            state.needed_growth = _needed_growth(fusion, state.num_refusals)
         elif fusion.confidence >= OVERWHELMING or _confirms(state, pair, fusion, snapshot):
             return self._join(state, pair, fusion, snapshot)
         else:
@@ -184,8 +194,17 @@ class Joins:
 
 
 def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
-    waited = snapshot.stamp_ns - state.looked_ns >= FOLLOW_NS or state.contradictions > 0
-    return waited or _changed(state.looked_cells, pair, snapshot) > FOLLOW_GROWTH
+    if snapshot.stamp_ns - state.looked_ns >= FOLLOW_NS or state.contradictions > 0:
+        return True
+    changed = np.subtract(_changed_cells(pair, snapshot), state.looked_changed)
+    return bool((changed > FOLLOW_CHANGE * np.array(_known_cells(pair, snapshot))).any())
+
+
+def _needed_growth(fusion: PairFusion, num_refusals: int) -> float:
+    """By which share a map of a refused pair has to change before the pair is searched again."""
+    if fusion.confidence >= NEAR_MISS_CONFIDENCE:
+        return GROWTH
+    return min(GROWTH + GROWTH_PER_REFUSAL * (num_refusals - 1), MAX_GROWTH)
 
 
 def _confirms(state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> bool:
@@ -214,7 +233,7 @@ def _predicted(pair: Pair, placements: Mapping[str, Placement]) -> SE2 | None:
     return a.T_group_map.inverse() @ b.T_group_map
 
 
-def _changed(before: tuple[int, int], pair: Pair, snapshot: Snapshot) -> float:
+def _grown(before: tuple[int, int], pair: Pair, snapshot: Snapshot) -> float:
     """By which share the known area of one of the two maps has changed, the larger share."""
     now = _known_cells(pair, snapshot)
     return max(abs(n - old) / max(old, 1) for n, old in zip(now, before, strict=True))
@@ -226,3 +245,7 @@ def _versions(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
 
 def _known_cells(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
     return snapshot.grids[pair[0]].num_known, snapshot.grids[pair[1]].num_known
+
+
+def _changed_cells(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
+    return snapshot.grids[pair[0]].num_changed, snapshot.grids[pair[1]].num_changed

@@ -1,10 +1,11 @@
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
-from mapfusion.joins import MAX_SEARCHES, OVERWHELMING, SETTLED_NS, Joins, Look
+from mapfusion.joins import FOLLOW_NS, MAX_SEARCHES, OVERWHELMING, SETTLED_NS, Joins, Look
 from mapfusion.newest import NewestGrid
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement
@@ -21,7 +22,7 @@ AB = ("a", "b")
 
 
 def snapshot(second: float = 0.0, is_last: bool = False, known: int = 10, **versions: int) -> Snapshot:
-    """Every robot's map has `known` known columns of ten cells."""
+    """Every robot's map has `known` known columns of ten cells, which all became known."""
     cells = flat(10, 100)
     cells[:, :known] = 0
     grids = {robot: replace(NewestGrid.of(0, grid_of(cells)), version=version) for robot, version in versions.items()}
@@ -51,6 +52,27 @@ def test_a_refused_pair_is_searched_again_when_enough_has_changed_or_at_the_end(
     assert joins.due(snapshot(a=3, b=1, known=56), {}) == [Look(AB, None)]
     assert joins.due(snapshot(a=3, b=1, known=44), {}) == [Look(AB, None)]
     assert joins.due(snapshot(a=2, b=1, known=51, is_last=True), {}) == [Look(AB, None)]
+
+
+def test_a_pair_that_is_refused_again_and_again_is_searched_more_rarely() -> None:
+    joins = Joins()
+    searched = []
+    for known in range(20, 101):
+        at = snapshot(a=known, b=1, known=known)
+        if joins.due(at, {}):
+            look(joins, at, REFUSED)
+            searched.append(known)
+    steps = [after / before for before, after in pairwise(searched)]
+    assert steps[0] < 1.2
+    assert steps[-1] > 1.2
+    assert joins.due(snapshot(a=200, b=1, known=100, is_last=True), {}) == [Look(AB, None)]
+
+
+def test_a_near_miss_is_searched_again_as_soon_as_at_first() -> None:
+    joins = Joins()
+    for version in range(1, 11):
+        look(joins, snapshot(a=version, b=1, known=30 if version % 2 else 60), DOUBTFUL)
+    assert joins.due(snapshot(a=11, b=1, known=67), {}) == [Look(AB, None)]
 
 
 def test_a_join_needs_a_second_look_that_agrees() -> None:
@@ -102,7 +124,7 @@ def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
     joins = joined()
     assert joins.due(snapshot(second=1.0, a=2, b=1), {}) == []
     assert joins.due(snapshot(second=1.0, known=11, a=2, b=1), {}) == [Look(AB, T, CERTAIN)]
-    at = snapshot(second=10.0, a=2, b=1)
+    at = snapshot(second=FOLLOW_NS / SECOND_NS, a=2, b=1)
     assert joins.due(at, {}) == [Look(AB, T, CERTAIN)]
     look(joins, at, replace(ACCEPTED, T_target_source=SE2(1.1, 2.0, 0.3)))
     assert joins.held[AB].T_a_b == SE2(1.1, 2.0, 0.3)
@@ -111,14 +133,16 @@ def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
 def test_a_join_outlasts_doubt_and_a_single_contradiction() -> None:
     joins = joined()
     for version, fusion in enumerate([DOUBTFUL, DOUBTFUL, REFUSED, DOUBTFUL, REFUSED], start=2):
-        assert look(joins, snapshot(second=10.0 * version, a=version, b=1), fusion) == [""]
+        assert look(joins, snapshot(second=FOLLOW_NS / SECOND_NS * version, a=version, b=1), fusion) == [""]
     assert AB in joins.held
 
 
 def test_contradictions_in_a_row_end_a_join_and_say_why() -> None:
     joins = joined()
-    assert look(joins, snapshot(second=10.0, a=2, b=1), REFUSED) == [""]
-    assert look(joins, snapshot(second=11.0, a=3, b=1), REFUSED) == ["the join of a and b ends: walls disagree"]
+    assert look(joins, snapshot(second=FOLLOW_NS / SECOND_NS, a=2, b=1), REFUSED) == [""]
+    assert look(joins, snapshot(second=FOLLOW_NS / SECOND_NS + 1.0, a=3, b=1), REFUSED) == [
+        "the join of a and b ends: walls disagree"
+    ]
     assert not joins.held
     assert joins.due(snapshot(a=4, b=1), {}) == [Look(AB, None)]
 
