@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.grid import FREE_PERCENT, OCCUPIED_PERCENT, Cells, OccupancyGrid
+from mapfusion.grid import FREE_PERCENT, OCCUPIED_PERCENT, OccupancyGrid
 from mapfusion.steps import StampArray
 from mapfusion.transform import FloatArray
 
@@ -34,6 +34,7 @@ class NewestGrid:
         middle_m: (2,) middle of the box around its known cells, in the grid's frame.
         since_ns: (height, width) int64, since when each cell has been free, wall, between or unknown as it is now, as
             far as the robot's grids tell.
+        classes: (height, width) which of these it is.
     """
 
     stamp_ns: int
@@ -43,16 +44,18 @@ class NewestGrid:
     num_changed: int
     middle_m: FloatArray
     since_ns: StampArray
+    classes: npt.NDArray[np.uint8]
 
     @classmethod
     def of(cls, stamp_ns: int, grid: OccupancyGrid, before: NewestGrid | None = None) -> NewestGrid:
         """Looks at a grid once, and at what has changed since the one before."""
-        known = grid.known.view(np.uint8)
+        classes = np.asarray(cv2.LUT(grid.cells.view(np.uint8), _CLASS), np.uint8)
+        known = (classes != _UNKNOWN).view(np.uint8)
         num_known = cv2.countNonZero(known)
         left, top, width, height = cv2.boundingRect(known)
         middle = np.array([left + 0.5 * width, top + 0.5 * height]) * grid.resolution_m
         since_ns = np.full(grid.cells.shape, stamp_ns, np.int64)
-        num_kept = None if before is None else _keep_times(since_ns, grid, before)
+        num_kept = None if before is None else _keep_times(since_ns, grid, classes, before)
         num_before, num_changed = (0, 0) if before is None else (before.num_known, before.num_changed)
         return cls(
             stamp_ns=stamp_ns,
@@ -62,10 +65,13 @@ class NewestGrid:
             num_changed=num_changed + (abs(num_known - num_before) if num_kept is None else num_known - num_kept),
             middle_m=grid.T_frame_grid.apply(middle),
             since_ns=since_ns,
+            classes=classes,
         )
 
 
-def _keep_times(since_ns: StampArray, grid: OccupancyGrid, before: NewestGrid) -> int | None:
+def _keep_times(
+    since_ns: StampArray, grid: OccupancyGrid, classes: npt.NDArray[np.uint8], before: NewestGrid
+) -> int | None:
     """Gives the cells of `grid` that keep their class their old time in `since_ns`; how many of them are known.
 
     None where the grids do not lie on one lattice.
@@ -80,7 +86,7 @@ def _keep_times(since_ns: StampArray, grid: OccupancyGrid, before: NewestGrid) -
         return 0
     here = np.s_[top:bottom, left:right]
     there = np.s_[top + row : bottom + row, left + col : right + col]
-    now, old = _classes(grid.cells[here]), _classes(before.grid.cells[there])
+    now, old = classes[here], before.classes[there]
     same = now == old
     np.copyto(since_ns[here], before.since_ns[there], where=same)
     return int(np.count_nonzero(same & (now != _UNKNOWN)))
@@ -94,7 +100,3 @@ def _shift(before: OccupancyGrid, grid: OccupancyGrid) -> tuple[int, int] | None
     col, row = round(shift.x_m / grid.resolution_m), round(shift.y_m / grid.resolution_m)
     off_lattice_m = max(abs(shift.x_m - col * grid.resolution_m), abs(shift.y_m - row * grid.resolution_m))
     return None if abs(shift.yaw_rad) > 1e-6 or off_lattice_m > 0.1 * grid.resolution_m else (row, col)
-
-
-def _classes(cells: Cells) -> npt.NDArray[np.uint8]:
-    return np.asarray(cv2.LUT(cells.view(np.uint8), _CLASS), np.uint8)

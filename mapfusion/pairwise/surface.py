@@ -124,7 +124,7 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
     free_depth = cv2.distanceTransform(_with_margin(free), cv2.DIST_L2, 3)
     depth = np.minimum(free_depth, NOT_KNOWN - 1, out=free_depth).astype(np.uint8)
     near_known = cv2.dilate(_with_margin(known), np.ones((3, 3), np.uint8))
-    depth[near_known == 0] = NOT_KNOWN
+    depth |= (near_known == 0) * np.uint8(NOT_KNOWN)
     walls = np.concatenate([surface.points.T, surface.normals.T])
     return SurfaceField(surface, np.ascontiguousarray(walls), order.take(np.asarray(labels)), depth)
 
