@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mapfusion.config import ReplayConfig
-from mapfusion.fusion import PairFuser
+from mapfusion.fusion import Map, PairFuser
 from mapfusion.grid import OccupancyGrid
 from mapfusion.groups import Groups
 from mapfusion.joins import Joins, Look
@@ -65,11 +65,8 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
             )
 
 
-_Map = Callable[[Callable[[Look], PairFusion], Iterable[Look]], Iterable[PairFusion]]
-
-
 @contextmanager
-def _concurrent_map(jobs: int) -> Iterator[_Map]:
+def _concurrent_map(jobs: int) -> Iterator[Map]:
     """`map`, over threads where there are several jobs: OpenCV and numpy let go of the interpreter's lock."""
     if jobs == 1:
         yield map
@@ -85,11 +82,12 @@ def _look_at_pairs(
     fuser: PairFuser,
     priors: Priors,
     config: ReplayConfig,
-    each: _Map,
+    each: Map,
 ) -> tuple[dict[Pair, PairFusion], list[str]]:
     """Verifies or searches every pair that is due, and takes note in `joins`; says which joins began or ended."""
     looks = joins.due(snapshot, placements)
     fuser.forget_all_but(newest.grid for newest in snapshot.grids.values())
+    fuser.prepare([(snapshot.grids[a].grid, snapshot.grids[b].grid) for (a, b), _, _ in looks], each)
 
     def take(look: Look) -> PairFusion:
         a, b = (snapshot.grids[robot].grid for robot in look.pair)
