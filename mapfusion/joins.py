@@ -36,7 +36,8 @@ MAX_SEARCHES = 4
 """So many pairs are searched at a snapshot, those of which most has changed; the others wait. Bounds N squared work."""
 DISPUTED_OVERLAP = 0.2
 DISPUTING_GATES = ("contradiction", "mae")
-"""Maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
+"""Maps that overlap this far under a transform contradict it where one of these gates refuses them. Where other robots
+place them like that, they are searched as well."""
 FOLLOW_CHANGE = 0.05
 FOLLOW_NS = 30_000_000_000
 """A join is verified anew when cells that are this share of a map have changed, at the latest after this time."""
@@ -70,6 +71,7 @@ class _PairState:
         needed_growth: Share by which they have to change before it is searched again.
         num_refusals: Searches in a row that were refused.
         candidate: An accepted fusion that waits for confirmation, and since when.
+        is_confirmed: Whether it has it, or needs none.
         edge: The join, while it holds.
         found: The search that led to it.
         contradictions: Looks in a row that contradicted it.
@@ -83,6 +85,7 @@ class _PairState:
     needed_growth: float = GROWTH
     num_refusals: int = 0
     candidate: tuple[PairFusion, int] | None = None
+    is_confirmed: bool = False
     edge: Edge | None = None
     found: PairFusion | None = None
     contradictions: int = 0
@@ -130,7 +133,7 @@ class Joins:
         return sorted(looks, key=lambda look: pair_key(look.pair))
 
     def record(self, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
-        """Takes note of a look; returns what came of it in words, where a join began or ended."""
+        """Takes note of a look; says so where a join ended."""
         state = self._states[look.pair]
         state.versions, state.looked_ns = _versions(look.pair, snapshot), snapshot.stamp_ns
         state.looked_changed = _changed_cells(look.pair, snapshot)
@@ -138,21 +141,38 @@ class Joins:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
             state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
-            state.is_disputed = fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
+            state.is_disputed = is_disputing(fusion)
             return ""
         state.searched_cells = _known_cells(look.pair, snapshot)
-        return self._consider(state, look.pair, fusion, snapshot)
+        self._consider(look.pair, fusion, snapshot)
+        return ""
 
-    def settle(self, snapshot: Snapshot) -> list[str]:
-        """Joins the candidates that nothing will confirm: their maps stay as they are, or the mission ends."""
-        changes = []
+    def ripe(self, snapshot: Snapshot) -> dict[Pair, PairFusion]:
+        """The candidates that may join: confirmed, or nothing will confirm them, as no map changes or the mission ends.
+
+        In natural order.
+        """
+        ripe = {}
         for pair, state in self._states.items():
-            if state.candidate is None:
-                continue
-            fusion, since_ns = state.candidate
-            if snapshot.is_last or snapshot.stamp_ns - since_ns >= SETTLED_NS:
-                changes.append(self._join(state, pair, fusion, snapshot))
-        return changes
+            if state.candidate is not None:
+                fusion, since_ns = state.candidate
+                if state.is_confirmed or snapshot.is_last or snapshot.stamp_ns - since_ns >= SETTLED_NS:
+                    ripe[pair] = fusion
+        return {pair: ripe[pair] for pair in sorted(ripe, key=pair_key)}
+
+    def join(self, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
+        """Joins a pair by a fusion; says so."""
+        state = self._states[pair]
+        state.candidate, state.contradictions, state.found = None, 0, fusion
+        state.edge = _edge(pair, fusion, snapshot)
+        return f"{pair[0]} and {pair[1]} join"
+
+    def refuse(self, pair: Pair, fusion: PairFusion) -> None:
+        """Takes note of a refusal, so that the pair is searched again when enough has changed."""
+        state = self._states[pair]
+        state.candidate = None
+        state.num_refusals += 1
+        state.needed_growth = _needed_growth(fusion, state.num_refusals)
 
     @property
     def held(self) -> dict[Pair, Edge]:
@@ -164,21 +184,13 @@ class Joins:
         """Ends a join, so that the pair is searched anew."""
         self._states[pair] = _PairState(versions=self._states[pair].versions)
 
-    def _consider(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
-        if not fusion.accepted:
-            state.candidate = None
-            state.num_refusals += 1
-            state.needed_growth = _needed_growth(fusion, state.num_refusals)
-        elif fusion.confidence >= OVERWHELMING or _confirms(state, pair, fusion, snapshot):
-            return self._join(state, pair, fusion, snapshot)
-        else:
+    def _consider(self, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> None:
+        state = self._states[pair]
+        if fusion.accepted:
+            state.is_confirmed = fusion.confidence >= OVERWHELMING or _confirms(state, pair, fusion, snapshot)
             state.candidate = (fusion, snapshot.stamp_ns)
-        return ""
-
-    def _join(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
-        state.candidate, state.contradictions, state.found = None, 0, fusion
-        state.edge = _edge(pair, fusion, snapshot)
-        return f"{pair[0]} and {pair[1]} join"
+        else:
+            self.refuse(pair, fusion)
 
     def _follow(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
         if fusion.accepted:
@@ -191,6 +203,11 @@ class Joins:
                 self.drop(pair)
                 return f"the join of {pair[0]} and {pair[1]} ends: {fusion.reason}"
         return ""
+
+
+def is_disputing(fusion: PairFusion) -> bool:
+    """Whether two maps contradict each other where a transform places them."""
+    return fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
 
 
 def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
