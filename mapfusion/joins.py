@@ -36,8 +36,7 @@ MAX_SEARCHES = 4
 """So many pairs are searched at a snapshot, those of which most has changed; the others wait. Bounds N squared work."""
 DISPUTED_OVERLAP = 0.2
 DISPUTING_GATES = ("contradiction", "mae")
-"""Maps that overlap this far under a transform contradict it where one of these gates refuses them. Where other robots
-place them like that, they are searched as well."""
+"""Maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
 FOLLOW_CHANGE = 0.05
 FOLLOW_NS = 30_000_000_000
 """A join is verified anew when cells that are this share of a map have changed, at the latest after this time."""
@@ -141,7 +140,7 @@ class Joins:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
             state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
-            state.is_disputed = is_disputing(fusion)
+            state.is_disputed = fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
             return ""
         state.searched_cells = _known_cells(look.pair, snapshot)
         self._consider(look.pair, fusion, snapshot)
@@ -203,11 +202,6 @@ class Joins:
                 self.drop(pair)
                 return f"the join of {pair[0]} and {pair[1]} ends: {fusion.reason}"
         return ""
-
-
-def is_disputing(fusion: PairFusion) -> bool:
-    """Whether two maps contradict each other where a transform places them."""
-    return fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
 
 
 def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mapfusion.joins import Look, is_disputing
+from mapfusion.joins import Look
 from mapfusion.posegraph import Pair, pair_key
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement, natural_key
@@ -16,6 +16,10 @@ from mapfusion.transform import SE2
 
 MAX_WITNESSES = 6
 """So many pairs are asked about a join, those that it places nearest to each other."""
+DISPUTED_OVERLAP = 0.3
+DISPUTING_GATES = ("chance", "contradiction", "mae")
+"""Maps that overlap this far and that one of these gates refuses dispute the place that they are given: maps that are
+placed rightly may be refused for want of confidence, or where they have little in common."""
 
 
 def witnesses(pair: Pair, fusion: PairFusion, snapshot: Snapshot, placements: Mapping[str, Placement]) -> list[Look]:
@@ -39,12 +43,16 @@ def witnesses(pair: Pair, fusion: PairFusion, snapshot: Snapshot, placements: Ma
 
 def checked_by(fusion: PairFusion, looks: Sequence[Look], verdicts: Sequence[PairFusion]) -> PairFusion:
     """The fusion, refused where more of its witnesses dispute it than agree."""
-    disputing = [look.pair for look, verdict in zip(looks, verdicts, strict=True) if is_disputing(verdict)]
+    disputing = [look.pair for look, verdict in zip(looks, verdicts, strict=True) if _disputes(verdict)]
     if len(disputing) <= sum(verdict.accepted for verdict in verdicts):
         return fusion
     named = ", ".join(f"{one} and {other}" for one, other in sorted(disputing, key=pair_key))
-    reason = f"it would put maps onto each other that contradict each other there: those of {named}"
+    reason = f"it would put maps onto each other that do not fit there: those of {named}"
     return replace(fusion, accepted=False, gate="witnesses", reason=reason)
+
+
+def _disputes(verdict: PairFusion) -> bool:
+    return verdict.gate in DISPUTING_GATES and verdict.overlap_ratio >= DISPUTED_OVERLAP
 
 
 def _relative_to(robot: str, placements: Mapping[str, Placement]) -> dict[str, SE2]:

@@ -12,6 +12,9 @@ T = SE2(3.0, -1.0, 0.4)
 FOUND = PairFusion(accepted=True, T_target_source=T, confidence=0.92)
 AGREES = PairFusion(accepted=True, T_target_source=T, confidence=0.99, overlap_ratio=0.5)
 DISPUTES = PairFusion(accepted=False, reason="walls in free space", gate="contradiction", overlap_ratio=0.5)
+CHANCE = PairFusion(accepted=False, reason="no better than chance", gate="chance", overlap_ratio=0.5)
+SMALL = PairFusion(accepted=False, reason="no better than chance", gate="chance", overlap_ratio=0.1)
+DOUBTS = PairFusion(accepted=False, reason="not sure enough", gate="confidence", overlap_ratio=0.5, confidence=0.2)
 SAYS_NOTHING = PairFusion(accepted=False, reason="nothing in common", gate="no overlap")
 
 NAMES = ("r1", "r2", "r3", "r4", "r10")
@@ -63,6 +66,8 @@ def test_of_many_witnesses_those_nearest_to_each_other_are_asked() -> None:
         ([AGREES, DISPUTES], True),
         ([SAYS_NOTHING, SAYS_NOTHING], True),
         ([DISPUTES, SAYS_NOTHING], False),
+        ([CHANCE, SAYS_NOTHING], False),
+        ([SMALL, DOUBTS], True),
         ([DISPUTES, AGREES, DISPUTES], False),
     ],
 )
