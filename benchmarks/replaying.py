@@ -39,9 +39,11 @@ from mapfusion_io.mission_writer import write_mission
 STAGES = {
     "reading, first pass": ("survey.py", "take_survey"),
     "reading, second pass": ("grid_stream.py", "stamped_grid_messages"),
+    "preparing maps": ("prepared.py", "prepare"),
     "searching pairs": ("fusion.py", "fuse"),
     "verifying joins": ("fusion.py", "verify"),
-    "  of both preparing maps": ("fusion.py", "of"),
+    "solving groups": ("groups.py", "update"),
+    "what changed in maps": ("newest.py", "of"),
     "merging maps": ("merge.py", "merge_grids"),
     "writing": ("output.py", "write"),
     "finishing": ("output.py", "finish"),
