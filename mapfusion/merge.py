@@ -99,13 +99,12 @@ def _highest(layers: Sequence[Layer], shape: tuple[int, int]) -> Cells:
 
 def _log_odds(layers: Sequence[Layer], shape: tuple[int, int]) -> Cells:
     """Sum of the layers' evidence as occupancy per cent; a cell that one layer alone knows keeps its value."""
-    evidence, num_known = np.zeros(shape, np.int32), np.zeros(shape, np.uint16)
+    evidence, num_known = np.full(shape, _CERTAIN, np.int32), np.zeros(shape, np.uint16)
     for layer in layers:
         evidence[layer.box] += np.asarray(cv2.LUT(layer.cells.view(np.uint8), _EVIDENCE), np.int32)
         num_known[layer.box] += layer.cells != UNKNOWN
     cells = _highest(layers, shape)
-    several = num_known > 1
-    cells[several] = _PERCENT.take(evidence[several].clip(-_CERTAIN, _CERTAIN) + _CERTAIN)
+    np.copyto(cells, _PERCENT.take(evidence, mode="clip"), where=num_known > 1)
     return cells
 
 
