@@ -25,11 +25,11 @@ MAX_CONTRADICTIONS = 2
 """So many contradicted looks in a row end a join."""
 SAME_M, SAME_RAD = 0.5, np.radians(5.0)
 """Two looks within this, at the middle of b's area, found the same transform."""
-GROWTH, GROWTH_PER_REFUSAL, MAX_GROWTH = 0.1, 0.02, 0.5
-"""A refused pair is searched again when one of its maps has changed its known area by this share: the more, the more
-often it was refused, for most of them share no place or too little of it."""
+GROWTH = 0.1
+SEARCH_AGAIN_NS = 10_000_000_000
 NEAR_MISS_CONFIDENCE = 0.2
-"""From this confidence on a refused pair is searched again as soon as after its first refusal."""
+"""A refused pair is searched again when one of its maps has changed its known area by this share, but not before this
+time, unless the refusal was as near as this to a join: young maps grow fast, and share too little yet."""
 NUM_TIES = 3
 """So many joins of a robot are followed; with more, every further one costs and adds hardly anything."""
 MAX_SEARCHES = 4
@@ -67,8 +67,7 @@ class _PairState:
         looked_ns: When that was.
         looked_changed: Cells of the two robots' grids that had changed by then, see `NewestGrid`.
         searched_cells: Known cells of the two grids when it was searched last.
-        needed_growth: Share by which they have to change before it is searched again.
-        num_refusals: Searches in a row that were refused.
+        is_near_miss: Whether that search came near to a join.
         candidate: An accepted fusion that waits for confirmation, and since when.
         is_confirmed: Whether it has it, or needs none.
         edge: The join, while it holds.
@@ -81,8 +80,7 @@ class _PairState:
     looked_ns: int = 0
     looked_changed: tuple[int, int] = (0, 0)
     searched_cells: tuple[int, int] | None = None
-    needed_growth: float = GROWTH
-    num_refusals: int = 0
+    is_near_miss: bool = False
     candidate: tuple[PairFusion, int] | None = None
     is_confirmed: bool = False
     edge: Edge | None = None
@@ -119,7 +117,8 @@ class Joins:
                 continue
             T_a_b = held[pair].T_a_b if pair in held else _predicted(pair, placements)
             growth = math.inf if state.searched_cells is None else _grown(state.searched_cells, pair, snapshot)
-            has_grown = growth > state.needed_growth
+            may_search = state.is_near_miss or snapshot.stamp_ns - state.looked_ns >= SEARCH_AGAIN_NS
+            has_grown = growth > GROWTH and (may_search or state.searched_cells is None)
             if T_a_b is not None and not (state.is_disputed and has_grown):
                 is_wanted = pair in held or min(num_ties[robot] for robot in pair) < NUM_TIES
                 if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
@@ -170,8 +169,7 @@ class Joins:
         """Takes note of a refusal, so that the pair is searched again when enough has changed."""
         state = self._states[pair]
         state.candidate = None
-        state.num_refusals += 1
-        state.needed_growth = _needed_growth(fusion, state.num_refusals)
+        state.is_near_miss = fusion.confidence >= NEAR_MISS_CONFIDENCE
 
     @property
     def held(self) -> dict[Pair, Edge]:
@@ -209,13 +207,6 @@ def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bo
         return True
     changed = np.subtract(_changed_cells(pair, snapshot), state.looked_changed)
     return bool((changed > FOLLOW_CHANGE * np.array(_known_cells(pair, snapshot))).any())
-
-
-def _needed_growth(fusion: PairFusion, num_refusals: int) -> float:
-    """By which share a map of a refused pair has to change before the pair is searched again."""
-    if fusion.confidence >= NEAR_MISS_CONFIDENCE:
-        return GROWTH
-    return min(GROWTH + GROWTH_PER_REFUSAL * (num_refusals - 1), MAX_GROWTH)
 
 
 def _confirms(state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> bool:
