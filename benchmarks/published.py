@@ -5,6 +5,11 @@
 The published steps are rebuilt here from their description: free scale, an error over the pixels that are obstacle
 in both maps only, subtracted as bytes, after the whole overlay was built. Right is a transform that moves the source's
 four corners by no more than 5 pixels, on average, from where they belong.
+
+    python benchmarks/published.py --warm 40
+
+What it takes to verify a known transform between two new maps, and between a new one and one that was looked at
+before, against the published steps on the same maps: pairs of the paper's generator, and of simulated lidar robots.
 """
 
 from __future__ import annotations
@@ -12,23 +17,31 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import combinations, count, islice
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from mapfusion.config import FusionConfig
+from mapfusion.fusion import PairFuser
 from mapfusion.grid import OccupancyGrid
 from mapfusion.pairwise import paper
+from mapfusion.simulation.events import mission_events
+from mapfusion.simulation.mission import simulate_mission
+from mapfusion.simulation.mission_config import MissionConfig
 from mapfusion.simulation.paper import PatchPair, negative_pair, positive_pair
-from mapfusion.transform import FloatArray
+from mapfusion.steps import GridEvent
+from mapfusion.transform import SE2, FloatArray
 
 RIGHT_PX = 5.0
 ERROR_BELOW = 20.0
 MIN_MATCHES = 25
 
 Image = npt.NDArray[np.uint8]
+KnownPair = tuple[OccupancyGrid, OccupancyGrid, SE2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +136,11 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=300)
     parser.add_argument("--negatives", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0, help="seed of the first pair of each kind")
+    parser.add_argument("--warm", type=int, default=0, help="pairs of each kind to verify instead of the table")
     args = parser.parse_args()
+    if args.warm:
+        print_warm(args.warm, args.seed)
+        return
     positives = [positive_pair(args.seed + i) for i in range(args.pairs)]
     negatives = [negative_pair(args.seed + i) for i in range(args.negatives)]
 
@@ -151,6 +168,47 @@ def main() -> None:
             + " / ".join(f"{np.median(e):.1f}" if e else "-" for e in errors)
             + f"   {ms:.1f} ms a pair"
         )
+
+
+def print_warm(num_pairs: int, seed: int) -> None:
+    """CPU time of verifying known transforms beside that of the published steps."""
+    patches = [positive_pair(seed + i) for i in range(num_pairs)]
+    sets: dict[str, Iterable[KnownPair]] = {
+        "paper": [(p.target, p.source, p.T_target_source) for p in patches if p.T_target_source is not None],
+        "lidar": islice(lidar_pairs(seed), num_pairs),
+    }
+    for name, pairs in sets.items():
+        total = np.zeros(3)
+        for pair in pairs:
+            total += np.min([warm_s(*pair) for _ in range(3)], axis=0)
+        steps, both_new, one_new = 1e3 * total / num_pairs
+        print(
+            f"{name}: published steps {steps:.1f} ms; verifying two new maps {both_new:.1f} ms ({both_new / steps:.2f} "
+            f"times), a new one and a known one {one_new:.1f} ms ({one_new / steps:.2f} times)"
+        )
+
+
+def lidar_pairs(seed: int) -> Iterator[KnownPair]:
+    """Last maps of the robots of simulated missions, two by two."""
+    for number in count(seed):
+        mission = simulate_mission(MissionConfig(seed=number, num_robots=3, duration_s=80.0))
+        grids = {event.robot: event.grid for event in mission_events(mission) if isinstance(event, GridEvent)}
+        for a, b in combinations(mission.robots, 2):
+            yield grids[a.name], grids[b.name], a.T_world_map.inverse() @ b.T_world_map
+
+
+def warm_s(target: OccupancyGrid, source: OccupancyGrid, T_target_source: SE2) -> tuple[float, float, float]:
+    """CPU seconds of the published steps, of verifying with both maps new, and with the source new alone."""
+    pictures = picture(target), picture(source)
+    new, known = PairFuser(FusionConfig()), PairFuser(FusionConfig())
+    known.verify(target, target, SE2.identity())
+    started_s = time.process_time()
+    published(*pictures)
+    steps_s = time.process_time()
+    new.verify(target, source, T_target_source)
+    both_s = time.process_time()
+    known.verify(target, source, T_target_source)
+    return steps_s - started_s, both_s - steps_s, time.process_time() - both_s
 
 
 def _percent(part: int, whole: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from mapfusion.config import FusionConfig
 from mapfusion.grid import OccupancyGrid
@@ -12,6 +12,14 @@ from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 
 PreparedT = TypeVar("PreparedT")
+ItemT = TypeVar("ItemT")
+ResultT = TypeVar("ResultT")
+
+
+class Map(Protocol):
+    """Applies a function to every item, in order, as `map` does; may use several threads."""
+
+    def __call__(self, function: Callable[[ItemT], ResultT], items: Iterable[ItemT], /) -> Iterable[ResultT]: ...
 
 
 def fuse_pair(target: OccupancyGrid, source: OccupancyGrid, config: FusionConfig | None = None) -> PairFusion:
@@ -38,6 +46,14 @@ class PairFuser:
         self._config = config
         self._paper_maps = _Prepared(paper.prepare)
         self._default_maps = _Prepared(default.prepare)
+
+    def prepare(self, pairs: Iterable[tuple[OccupancyGrid, OccupancyGrid]], each: Map) -> None:
+        """Works out what looking at these pairs needs, for each map once however many threads look at them."""
+        wanted = [(grid, max(a.resolution_m, b.resolution_m)) for a, b in pairs for grid in (a, b)]
+        if self._config.profile == "paper":
+            self._paper_maps.prepare(wanted, each)
+        else:
+            self._default_maps.prepare(wanted, each)
 
     def fuse(self, target: OccupancyGrid, source: OccupancyGrid) -> PairFusion:
         """As `fuse_pair`."""
@@ -74,6 +90,10 @@ class _Prepared(Generic[PreparedT]):
     def __init__(self, prepare: Callable[[OccupancyGrid, float], PreparedT]) -> None:
         self._prepare = prepare
         self._by_grid: dict[tuple[OccupancyGrid, float], PreparedT] = {}
+
+    def prepare(self, wanted: Iterable[tuple[OccupancyGrid, float]], each: Map) -> None:
+        missing = [key for key in dict.fromkeys(wanted) if key not in self._by_grid]
+        self._by_grid.update(zip(missing, each(lambda key: self._prepare(*key), missing), strict=True))
 
     def of(self, grid: OccupancyGrid, resolution_m: float) -> PreparedT:
         key = (grid, resolution_m)

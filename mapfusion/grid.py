@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -80,6 +81,11 @@ class OccupancyGrid:
         """(height, width) mask of the cells that are known to be free."""
         return (self.cells >= 0) & (self.cells <= FREE_PERCENT)
 
+    def corners_m(self) -> FloatArray:
+        """(4, 2) corners relative to that of cell (0, 0), in the grid's own directions, metres."""
+        width_m, height_m = self.width * self.resolution_m, self.height * self.resolution_m
+        return np.array([[0.0, 0.0], [width_m, 0.0], [0.0, height_m], [width_m, height_m]])
+
     def centres_m(self, mask: Mask) -> FloatArray:
         """Centres (N, 2) of the masked cells in the grid's frame, metres, in row-major order."""
         rows, cols = np.nonzero(mask)
@@ -91,12 +97,11 @@ def crop_to_known(grid: OccupancyGrid, margin: int = 0) -> OccupancyGrid:
 
     A grid without a known cell is returned as it is.
     """
-    known = grid.known
-    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-    if rows.size == 0:
+    col, row, width, height = cv2.boundingRect(grid.known.view(np.uint8))
+    if width == 0:
         return grid
-    top, bottom = max(int(rows[0]) - margin, 0), min(int(rows[-1]) + 1 + margin, grid.height)
-    left, right = max(int(cols[0]) - margin, 0), min(int(cols[-1]) + 1 + margin, grid.width)
+    top, bottom = max(row - margin, 0), min(row + height + margin, grid.height)
+    left, right = max(col - margin, 0), min(col + width + margin, grid.width)
     corner = SE2(left * grid.resolution_m, top * grid.resolution_m, 0.0)
     return replace(grid, cells=grid.cells[top:bottom, left:right], T_frame_grid=grid.T_frame_grid @ corner)
 

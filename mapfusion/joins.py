@@ -26,7 +26,10 @@ MAX_CONTRADICTIONS = 2
 SAME_M, SAME_RAD = 0.5, np.radians(5.0)
 """Two looks within this, at the middle of b's area, found the same transform."""
 GROWTH = 0.1
-"""A refused pair is searched again when one of its maps has changed its known area by this share."""
+SEARCH_AGAIN_NS = 10_000_000_000
+NEAR_MISS_CONFIDENCE = 0.2
+"""A refused pair is searched again when one of its maps has changed its known area by this share, but not before this
+time, unless the refusal was as near as this to a join: young maps grow fast, and share too little yet."""
 NUM_TIES = 3
 """So many joins of a robot are followed; with more, every further one costs and adds hardly anything."""
 MAX_SEARCHES = 4
@@ -34,9 +37,9 @@ MAX_SEARCHES = 4
 DISPUTED_OVERLAP = 0.2
 DISPUTING_GATES = ("contradiction", "mae")
 """Maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
-FOLLOW_GROWTH = 0.02
-FOLLOW_NS = 10_000_000_000
-"""A join is verified anew when a map has changed its known area by this share, at the latest after this time."""
+FOLLOW_CHANGE = 0.05
+FOLLOW_NS = 30_000_000_000
+"""A join is verified anew when cells that are this share of a map have changed, at the latest after this time."""
 SETTLED_NS = 10_000_000_000
 """A fusion that nothing confirmed or contradicted for this long, because no map changed, joins."""
 
@@ -62,9 +65,11 @@ class _PairState:
     Attributes:
         versions: Of the two grids when the pair was looked at last.
         looked_ns: When that was.
-        looked_cells: Known cells of the two grids then.
+        looked_changed: Cells of the two robots' grids that had changed by then, see `NewestGrid`.
         searched_cells: Known cells of the two grids when it was searched last.
+        is_near_miss: Whether that search came near to a join.
         candidate: An accepted fusion that waits for confirmation, and since when.
+        is_confirmed: Whether it has it, or needs none.
         edge: The join, while it holds.
         found: The search that led to it.
         contradictions: Looks in a row that contradicted it.
@@ -73,9 +78,11 @@ class _PairState:
 
     versions: tuple[int, int] = (0, 0)
     looked_ns: int = 0
-    looked_cells: tuple[int, int] = (0, 0)
+    looked_changed: tuple[int, int] = (0, 0)
     searched_cells: tuple[int, int] | None = None
+    is_near_miss: bool = False
     candidate: tuple[PairFusion, int] | None = None
+    is_confirmed: bool = False
     edge: Edge | None = None
     found: PairFusion | None = None
     contradictions: int = 0
@@ -109,12 +116,14 @@ class Joins:
             if frozenset(pair) in self.never or state.versions == _versions(pair, snapshot):
                 continue
             T_a_b = held[pair].T_a_b if pair in held else _predicted(pair, placements)
-            growth = math.inf if state.searched_cells is None else _changed(state.searched_cells, pair, snapshot)
-            if T_a_b is not None and not (state.is_disputed and growth > GROWTH):
+            growth = math.inf if state.searched_cells is None else _grown(state.searched_cells, pair, snapshot)
+            may_search = state.is_near_miss or snapshot.stamp_ns - state.looked_ns >= SEARCH_AGAIN_NS
+            has_grown = growth > GROWTH and (may_search or state.searched_cells is None)
+            if T_a_b is not None and not (state.is_disputed and has_grown):
                 is_wanted = pair in held or min(num_ties[robot] for robot in pair) < NUM_TIES
                 if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
                     looks.append(Look(pair, T_a_b, state.found))
-            elif snapshot.is_last or state.candidate is not None or growth > GROWTH:
+            elif snapshot.is_last or state.candidate is not None or has_grown:
                 searches.append((growth, Look(pair, None)))
         if not snapshot.is_last:  # the others stay due
             searches = sorted(searches, key=lambda search: -search[0])[:MAX_SEARCHES]
@@ -122,29 +131,45 @@ class Joins:
         return sorted(looks, key=lambda look: pair_key(look.pair))
 
     def record(self, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
-        """Takes note of a look; returns what came of it in words, where a join began or ended."""
+        """Takes note of a look; says so where a join ended."""
         state = self._states[look.pair]
         state.versions, state.looked_ns = _versions(look.pair, snapshot), snapshot.stamp_ns
-        state.looked_cells = _known_cells(look.pair, snapshot)
+        state.looked_changed = _changed_cells(look.pair, snapshot)
         if state.edge is not None:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
             state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
             state.is_disputed = fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
             return ""
-        state.searched_cells = state.looked_cells
-        return self._consider(state, look.pair, fusion, snapshot)
+        state.searched_cells = _known_cells(look.pair, snapshot)
+        self._consider(look.pair, fusion, snapshot)
+        return ""
 
-    def settle(self, snapshot: Snapshot) -> list[str]:
-        """Joins the candidates that nothing will confirm: their maps stay as they are, or the mission ends."""
-        changes = []
+    def ripe(self, snapshot: Snapshot) -> dict[Pair, PairFusion]:
+        """The candidates that may join: confirmed, or nothing will confirm them, as no map changes or the mission ends.
+
+        In natural order.
+        """
+        ripe = {}
         for pair, state in self._states.items():
-            if state.candidate is None:
-                continue
-            fusion, since_ns = state.candidate
-            if snapshot.is_last or snapshot.stamp_ns - since_ns >= SETTLED_NS:
-                changes.append(self._join(state, pair, fusion, snapshot))
-        return changes
+            if state.candidate is not None:
+                fusion, since_ns = state.candidate
+                if state.is_confirmed or snapshot.is_last or snapshot.stamp_ns - since_ns >= SETTLED_NS:
+                    ripe[pair] = fusion
+        return {pair: ripe[pair] for pair in sorted(ripe, key=pair_key)}
+
+    def join(self, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
+        """Joins a pair by a fusion; says so."""
+        state = self._states[pair]
+        state.candidate, state.contradictions, state.found = None, 0, fusion
+        state.edge = _edge(pair, fusion, snapshot)
+        return f"{pair[0]} and {pair[1]} join"
+
+    def refuse(self, pair: Pair, fusion: PairFusion) -> None:
+        """Takes note of a refusal, so that the pair is searched again when enough has changed."""
+        state = self._states[pair]
+        state.candidate = None
+        state.is_near_miss = fusion.confidence >= NEAR_MISS_CONFIDENCE
 
     @property
     def held(self) -> dict[Pair, Edge]:
@@ -156,19 +181,13 @@ class Joins:
         """Ends a join, so that the pair is searched anew."""
         self._states[pair] = _PairState(versions=self._states[pair].versions)
 
-    def _consider(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
-        if not fusion.accepted:
-            state.candidate = None
-        elif fusion.confidence >= OVERWHELMING or _confirms(state, pair, fusion, snapshot):
-            return self._join(state, pair, fusion, snapshot)
-        else:
+    def _consider(self, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> None:
+        state = self._states[pair]
+        if fusion.accepted:
+            state.is_confirmed = fusion.confidence >= OVERWHELMING or _confirms(state, pair, fusion, snapshot)
             state.candidate = (fusion, snapshot.stamp_ns)
-        return ""
-
-    def _join(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
-        state.candidate, state.contradictions, state.found = None, 0, fusion
-        state.edge = _edge(pair, fusion, snapshot)
-        return f"{pair[0]} and {pair[1]} join"
+        else:
+            self.refuse(pair, fusion)
 
     def _follow(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
         if fusion.accepted:
@@ -184,8 +203,10 @@ class Joins:
 
 
 def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
-    waited = snapshot.stamp_ns - state.looked_ns >= FOLLOW_NS or state.contradictions > 0
-    return waited or _changed(state.looked_cells, pair, snapshot) > FOLLOW_GROWTH
+    if snapshot.stamp_ns - state.looked_ns >= FOLLOW_NS or state.contradictions > 0:
+        return True
+    changed = np.subtract(_changed_cells(pair, snapshot), state.looked_changed)
+    return bool((changed > FOLLOW_CHANGE * np.array(_known_cells(pair, snapshot))).any())
 
 
 def _confirms(state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> bool:
@@ -214,7 +235,7 @@ def _predicted(pair: Pair, placements: Mapping[str, Placement]) -> SE2 | None:
     return a.T_group_map.inverse() @ b.T_group_map
 
 
-def _changed(before: tuple[int, int], pair: Pair, snapshot: Snapshot) -> float:
+def _grown(before: tuple[int, int], pair: Pair, snapshot: Snapshot) -> float:
     """By which share the known area of one of the two maps has changed, the larger share."""
     now = _known_cells(pair, snapshot)
     return max(abs(n - old) / max(old, 1) for n, old in zip(now, before, strict=True))
@@ -226,3 +247,7 @@ def _versions(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
 
 def _known_cells(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
     return snapshot.grids[pair[0]].num_known, snapshot.grids[pair[1]].num_known
+
+
+def _changed_cells(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
+    return snapshot.grids[pair[0]].num_changed, snapshot.grids[pair[1]].num_changed

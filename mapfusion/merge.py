@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import cv2
@@ -10,6 +9,7 @@ import numpy as np
 
 from mapfusion.config import Blend
 from mapfusion.grid import UNKNOWN, Cells, OccupancyGrid, crop_to_known, resample
+from mapfusion.layer import Layer, lay
 from mapfusion.moved import CellTimes, without_moved_things
 from mapfusion.steps import StampArray
 from mapfusion.transform import SE2
@@ -65,77 +65,46 @@ def merge_grids(
         raise MergedMapTooLargeError(f"a merged map of {width} x {height} cells, more than {max_cells}")
     T_world_merged = SE2(col0 * finest, row0 * finest, 0.0)
     layers = [
-        _warp(part, T_world_merged.inverse() @ T @ part.T_frame_grid, finest, (height, width), blend == "paper")
+        lay(part, T_world_merged.inverse() @ T @ part.T_frame_grid, finest, (height, width), blend == "paper")
         for part, T in zip(parts, placed, strict=True)
     ]
-    if blend != "log-odds":
-        cells = np.maximum.reduce(layers)
-    elif since_ns is None:
-        cells = _log_odds(layers)
-    else:
+    if blend == "log-odds" and since_ns is not None:
         times = [
             CellTimes(since_ns[index], grid, T_world_merged.inverse() @ T @ grid.T_frame_grid)
             for index, grid, T in zip(known, grids, placed, strict=True)
         ]
-        cells = _log_odds(without_moved_things(layers, times, finest))
-    return OccupancyGrid(cells, finest, T_world_merged, stamp_ns=stamp_ns)
+        layers = without_moved_things(layers, times, (height, width), finest)
+    combined = _log_odds if blend == "log-odds" else _highest
+    return OccupancyGrid(combined(layers, (height, width)), finest, T_world_merged, stamp_ns=stamp_ns)
 
 
 def _canvas(parts: Sequence[OccupancyGrid], placed: Sequence[SE2], resolution_m: float) -> tuple[int, int, int, int]:
     """First column and row, width and height of the lattice cells that the parts' corners span."""
     corners = []
     for part, T in zip(parts, placed, strict=True):
-        width_m, height_m = part.width * part.resolution_m, part.height * part.resolution_m
-        box = np.array([[0.0, 0.0], [width_m, 0.0], [0.0, height_m], [width_m, height_m]])
-        corners.append((T @ part.T_frame_grid).apply(box))
+        corners.append((T @ part.T_frame_grid).apply(part.corners_m()))
     spanned = np.concatenate(corners) / resolution_m
     # A corner that lies on the lattice but for rounding adds no row of unknown cells.
     low, high = np.floor(spanned.min(axis=0) + 1e-6).astype(int), np.ceil(spanned.max(axis=0) - 1e-6).astype(int)
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
-def _warp(part: OccupancyGrid, T_merged_part: SE2, resolution_m: float, shape: tuple[int, int], smooth: bool) -> Cells:
-    """The part's cells (height, width) on the canvas, unknown outside; nearest, or bilinear between known cells."""
-    ratio = resolution_m / part.resolution_m
-    c, s = math.cos(T_merged_part.yaw_rad), math.sin(T_merged_part.yaw_rad)
-    inverse = T_merged_part.inverse()
-    # Pixel centres lie at integers for cv2 and at half cells on the grid.
-    half = (
-        ratio * (np.array([[c, s], [-s, c]]) @ [0.5, 0.5])
-        + np.array([inverse.x_m, inverse.y_m]) / part.resolution_m
-        - 0.5
-    )
-    M = np.array([[ratio * c, ratio * s, half[0]], [-ratio * s, ratio * c, half[1]]])
-    size = (shape[1], shape[0])
-    # cv2 warps unsigned bytes: 255 stands for unknown.
-    nearest = cv2.warpAffine(
-        part.cells.view(np.uint8),
-        M,
-        size,
-        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=255,
-    )
-    if not smooth:
-        return nearest.view(np.int8)
-    known = part.known
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    weight = cv2.warpAffine(known.astype(np.float32), M, size, flags=flags)
-    value = cv2.warpAffine(np.where(known, part.cells, 0).astype(np.float32), M, size, flags=flags)
-    blended = np.rint(value / np.maximum(weight, 1e-6)).clip(0, 100)
-    cells: Cells = np.where(nearest.view(np.int8) == UNKNOWN, UNKNOWN, blended).astype(np.int8)
-    return cells
-
-
-def _log_odds(layers: Sequence[Cells]) -> Cells:
-    """Sum of the layers' evidence as occupancy per cent; a cell that one layer alone knows keeps its value."""
-    evidence = np.zeros(layers[0].shape, np.int32)
-    num_known = np.zeros(layers[0].shape, np.uint8)
+def _highest(layers: Sequence[Layer], shape: tuple[int, int]) -> Cells:
+    """The highest occupancy that a layer has for each cell."""
+    highest = np.full(shape, UNKNOWN, np.int8)
     for layer in layers:
-        evidence += _EVIDENCE.take(layer.view(np.uint8))
-        num_known += layer != UNKNOWN
-    percent = _PERCENT.take(evidence.clip(-_CERTAIN, _CERTAIN) + _CERTAIN)
-    cells: Cells = np.where(num_known > 1, percent, np.maximum.reduce(layers))
+        np.maximum(highest[layer.box], layer.cells, out=highest[layer.box])
+    return highest
+
+
+def _log_odds(layers: Sequence[Layer], shape: tuple[int, int]) -> Cells:
+    """Sum of the layers' evidence as occupancy per cent; a cell that one layer alone knows keeps its value."""
+    evidence, num_known = np.full(shape, _CERTAIN, np.int32), np.zeros(shape, np.uint16)
+    for layer in layers:
+        evidence[layer.box] += np.asarray(cv2.LUT(layer.cells.view(np.uint8), _EVIDENCE), np.int32)
+        num_known[layer.box] += layer.cells != UNKNOWN
+    cells = _highest(layers, shape)
+    np.copyto(cells, _PERCENT.take(evidence, mode="clip"), where=num_known > 1)
     return cells
 
 

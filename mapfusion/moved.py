@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from mapfusion.grid import FREE_PERCENT, OCCUPIED_PERCENT, UNKNOWN, Cells, Mask, OccupancyGrid
+from mapfusion.layer import Layer
 from mapfusion.steps import StampArray
 from mapfusion.transform import SE2, FloatArray
 
-Indices = npt.NDArray[np.intp]
+Indices = npt.NDArray[np.signedinteger]
 
 MAX_SIZE_M = 1.2
 """Nothing larger is held to have moved: a long wall that another map does not have is a matter of alignment."""
@@ -44,33 +45,32 @@ class CellTimes:
         return found
 
 
-def without_moved_things(layers: Sequence[Cells], times: Sequence[CellTimes], resolution_m: float) -> list[Cells]:
-    """The layers (height, width), with small occupied things unknown where another map's later view is free.
+def without_moved_things(
+    layers: Sequence[Layer], times: Sequence[CellTimes], shape: tuple[int, int], resolution_m: float
+) -> list[Layer]:
+    """The layers of a canvas (height, width), with small occupied things unknown where another's later view is free.
 
     The order of the maps does not matter.
     """
-    occupied = [layer >= OCCUPIED_PERCENT for layer in layers]
     size = 2 * round(APART_M / resolution_m) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    clear = [
-        (layer >= 0) & (layer <= FREE_PERCENT) & (cv2.dilate(walls.view(np.uint8), disc) == 0)
-        for layer, walls in zip(layers, occupied, strict=True)
-    ]
-    kept = [layer.copy() for layer in layers]
-    clear_somewhere = np.logical_or.reduce(clear)
-    for cells, walls, own in zip(kept, occupied, times, strict=True):
-        things = _small_things(walls & clear_somewhere, resolution_m)
-        if things is None:
-            continue
-        points_m = np.stack([things.cols + 0.5, things.rows + 0.5], axis=-1) * resolution_m
-        stood_ns = np.maximum.reduceat(own.at(points_m), things.starts)
-        gone = np.zeros(stood_ns.shape, np.bool_)
-        for view, free in zip(times, clear, strict=True):
-            seen_free = np.logical_and.reduceat(free[things.rows, things.cols], things.starts)
-            gone |= seen_free & (np.minimum.reduceat(view.at(points_m), things.starts) > stood_ns)
-        fades = np.repeat(gone, np.diff(things.starts, append=things.rows.size))
-        cells[things.rows[fades], things.cols[fades]] = UNKNOWN
+    disc = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
+    occupied = [layer.cells >= OCCUPIED_PERCENT for layer in layers]
+    clear = [_clear(layer.cells, walls, disc) for layer, walls in zip(layers, occupied, strict=True)]
+    clear_somewhere = np.zeros(shape, np.bool_)
+    for layer, free in zip(layers, clear, strict=True):
+        clear_somewhere[layer.box] |= free
+    kept = []
+    for layer, walls, own in zip(layers, occupied, times, strict=True):
+        things = _small_things(walls & clear_somewhere[layer.box], resolution_m)
+        kept.append(layer if things is None else _without_gone(layer, things, own, layers, times, clear, resolution_m))
     return kept
+
+
+def _clear(cells: Cells, walls: Mask, disc: npt.NDArray[np.uint8]) -> Mask:
+    """The free cells that are further from the map's own walls than the disc reaches."""
+    near_walls = cv2.dilate(walls.view(np.uint8), disc).view(np.bool_)
+    clear: Mask = (cells >= 0) & (cells <= FREE_PERCENT) & ~near_walls
+    return clear
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,15 +84,52 @@ class _Things:
 
 def _small_things(mask: Mask, resolution_m: float) -> _Things | None:
     """The connected parts of a mask that are no larger than `MAX_SIZE_M` either way; None without any."""
-    if not mask.any():
+    cells = np.flatnonzero(mask)
+    if cells.size == 0:
         return None
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
-    size = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
-    rows, cols = np.nonzero(mask)
+    _, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
+    rows, cols = np.divmod(cells, mask.shape[1])
     label = labels[rows, cols]
     order = np.argsort(label, kind="stable")
-    order = order[size[label[order]] * resolution_m <= MAX_SIZE_M]
-    if order.size == 0:
-        return None
+    rows, cols = rows[order], cols[order]
     starts = np.flatnonzero(np.diff(label[order], prepend=-1))
-    return _Things(rows[order], cols[order], starts)
+    lengths = np.diff(starts, append=rows.size)
+    size = np.maximum(*(np.maximum.reduceat(x, starts) - np.minimum.reduceat(x, starts) for x in (rows, cols))) + 1
+    small = size * resolution_m <= MAX_SIZE_M
+    if not small.any():
+        return None
+    of_small = np.repeat(small, lengths)
+    return _Things(rows[of_small], cols[of_small], np.cumsum(lengths[small]) - lengths[small])
+
+
+def _without_gone(
+    layer: Layer,
+    things: _Things,
+    own: CellTimes,
+    layers: Sequence[Layer],
+    times: Sequence[CellTimes],
+    clear: Sequence[Mask],
+    resolution_m: float,
+) -> Layer:
+    """The layer, unknown where one of its things is gone for another layer."""
+    rows, cols = things.rows + layer.row, things.cols + layer.col
+    points_m = np.stack([cols + 0.5, rows + 0.5], axis=-1) * resolution_m
+    stood_ns = np.maximum.reduceat(own.at(points_m), things.starts)
+    gone = np.zeros(stood_ns.shape, np.bool_)
+    for other, view, free in zip(layers, times, clear, strict=True):
+        seen_free = np.logical_and.reduceat(_values(other, free, rows, cols), things.starts)
+        if seen_free.any():
+            gone |= seen_free & (np.minimum.reduceat(view.at(points_m), things.starts) > stood_ns)
+    fades = np.repeat(gone, np.diff(things.starts, append=rows.size))
+    cells = layer.cells.copy()
+    cells[things.rows[fades], things.cols[fades]] = UNKNOWN
+    return replace(layer, cells=cells)
+
+
+def _values(layer: Layer, mask: Mask, rows: Indices, cols: Indices) -> Mask:
+    """(N,) what the layer's mask says of cells of the canvas; False outside of the layer."""
+    height, width = mask.shape
+    rows, cols = rows - layer.row, cols - layer.col
+    inside: Mask = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+    inside[inside] = mask[rows[inside], cols[inside]]
+    return inside

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
 from mapfusion.grid import FREE_PERCENT, OCCUPIED_PERCENT, OccupancyGrid
 from mapfusion.steps import StampArray
@@ -27,47 +29,74 @@ class NewestGrid:
         version: Counts the robot's grids from 1.
         grid: The grid.
         num_known: Number of its known cells.
+        num_changed: Cells that became known or changed between free, wall and between, over all of the robot's grids.
+            Across a change of the lattice only the number of known cells can be compared.
         middle_m: (2,) middle of the box around its known cells, in the grid's frame.
         since_ns: (height, width) int64, since when each cell has been free, wall, between or unknown as it is now, as
             far as the robot's grids tell.
+        classes: (height, width) which of these it is.
     """
 
     stamp_ns: int
     version: int
     grid: OccupancyGrid
     num_known: int
+    num_changed: int
     middle_m: FloatArray
     since_ns: StampArray
+    classes: npt.NDArray[np.uint8]
 
     @classmethod
     def of(cls, stamp_ns: int, grid: OccupancyGrid, before: NewestGrid | None = None) -> NewestGrid:
         """Looks at a grid once, and at what has changed since the one before."""
-        version = 1 if before is None else before.version + 1
-        since_ns = _since(stamp_ns, grid, before)
-        rows, cols = (np.flatnonzero(grid.known.any(axis=axis)) for axis in (1, 0))
-        if rows.size == 0:
-            return cls(stamp_ns, version, grid, 0, grid.T_frame_grid.apply(np.zeros(2)), since_ns)
-        middle = np.array([cols[0] + cols[-1] + 1, rows[0] + rows[-1] + 1]) * 0.5 * grid.resolution_m
-        num_known = int(np.count_nonzero(grid.known))
-        return cls(stamp_ns, version, grid, num_known, grid.T_frame_grid.apply(middle), since_ns)
+        classes = np.asarray(cv2.LUT(grid.cells.view(np.uint8), _CLASS), np.uint8)
+        known = (classes != _UNKNOWN).view(np.uint8)
+        num_known = cv2.countNonZero(known)
+        left, top, width, height = cv2.boundingRect(known)
+        middle = np.array([left + 0.5 * width, top + 0.5 * height]) * grid.resolution_m
+        since_ns = np.full(grid.cells.shape, stamp_ns, np.int64)
+        num_kept = None if before is None else _keep_times(since_ns, grid, classes, before)
+        num_before, num_changed = (0, 0) if before is None else (before.num_known, before.num_changed)
+        return cls(
+            stamp_ns=stamp_ns,
+            version=1 if before is None else before.version + 1,
+            grid=grid,
+            num_known=num_known,
+            num_changed=num_changed + (abs(num_known - num_before) if num_kept is None else num_known - num_kept),
+            middle_m=grid.T_frame_grid.apply(middle),
+            since_ns=since_ns,
+            classes=classes,
+        )
 
 
-def _since(stamp_ns: int, grid: OccupancyGrid, before: NewestGrid | None) -> StampArray:
-    """As `NewestGrid.since_ns`; cells that keep their class on the same lattice keep their time."""
-    since_ns = np.full(grid.cells.shape, stamp_ns, np.int64)
-    if before is None or grid.resolution_m != before.grid.resolution_m:
-        return since_ns
-    shift = before.grid.T_frame_grid.inverse() @ grid.T_frame_grid
-    col, row = round(shift.x_m / grid.resolution_m), round(shift.y_m / grid.resolution_m)
-    off_lattice_m = max(abs(shift.x_m - col * grid.resolution_m), abs(shift.y_m - row * grid.resolution_m))
-    if abs(shift.yaw_rad) > 1e-6 or off_lattice_m > 0.1 * grid.resolution_m:
-        return since_ns
-    now, old = grid.cells, before.grid.cells
+def _keep_times(
+    since_ns: StampArray, grid: OccupancyGrid, classes: npt.NDArray[np.uint8], before: NewestGrid
+) -> int | None:
+    """Gives the cells of `grid` that keep their class their old time in `since_ns`; how many of them are known.
+
+    None where the grids do not lie on one lattice.
+    """
+    shift = _shift(before.grid, grid)
+    if shift is None:
+        return None
+    row, col = shift
     top, left = max(0, -row), max(0, -col)
     bottom, right = min(grid.height, before.grid.height - row), min(grid.width, before.grid.width - col)
-    if top < bottom and left < right:
-        here = np.s_[top:bottom, left:right]
-        there = np.s_[top + row : bottom + row, left + col : right + col]
-        same = _CLASS[now[here].view(np.uint8)] == _CLASS[old[there].view(np.uint8)]
-        np.copyto(since_ns[here], before.since_ns[there], where=same)
-    return since_ns
+    if top >= bottom or left >= right:
+        return 0
+    here = np.s_[top:bottom, left:right]
+    there = np.s_[top + row : bottom + row, left + col : right + col]
+    now, old = classes[here], before.classes[there]
+    same = now == old
+    np.copyto(since_ns[here], before.since_ns[there], where=same)
+    return int(np.count_nonzero(same & (now != _UNKNOWN)))
+
+
+def _shift(before: OccupancyGrid, grid: OccupancyGrid) -> tuple[int, int] | None:
+    """Row and column of `before` at which `grid` begins; None where they do not lie on one lattice."""
+    if grid.resolution_m != before.resolution_m:
+        return None
+    shift = before.T_frame_grid.inverse() @ grid.T_frame_grid
+    col, row = round(shift.x_m / grid.resolution_m), round(shift.y_m / grid.resolution_m)
+    off_lattice_m = max(abs(shift.x_m - col * grid.resolution_m), abs(shift.y_m - row * grid.resolution_m))
+    return None if abs(shift.yaw_rad) > 1e-6 or off_lattice_m > 0.1 * grid.resolution_m else (row, col)

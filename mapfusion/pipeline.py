@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,17 +10,18 @@ from dataclasses import replace
 import numpy as np
 
 from mapfusion.config import ReplayConfig
-from mapfusion.fusion import PairFuser
+from mapfusion.fusion import Map, PairFuser
 from mapfusion.grid import OccupancyGrid
 from mapfusion.groups import Groups
 from mapfusion.joins import Joins, Look
 from mapfusion.merge import MergedMapTooLargeError, merge_grids
-from mapfusion.posegraph import Misfit, Pair, separated
+from mapfusion.posegraph import Misfit, Pair, pair_key, separated
 from mapfusion.priors import Priors, checked
 from mapfusion.result import PairFusion
 from mapfusion.steps import Event, FusionStep, PairReport, Path, Placement, PoseSource, StampArray
 from mapfusion.timeline import Snapshot, snapshots
 from mapfusion.transform import SE2, FloatArray
+from mapfusion.witnesses import checked_by, witnesses
 
 
 def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Iterator[FusionStep]:
@@ -65,11 +66,8 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
             )
 
 
-_Map = Callable[[Callable[[Look], PairFusion], Iterable[Look]], Iterable[PairFusion]]
-
-
 @contextmanager
-def _concurrent_map(jobs: int) -> Iterator[_Map]:
+def _concurrent_map(jobs: int) -> Iterator[Map]:
     """`map`, over threads where there are several jobs: OpenCV and numpy let go of the interpreter's lock."""
     if jobs == 1:
         yield map
@@ -85,11 +83,15 @@ def _look_at_pairs(
     fuser: PairFuser,
     priors: Priors,
     config: ReplayConfig,
-    each: _Map,
+    each: Map,
 ) -> tuple[dict[Pair, PairFusion], list[str]]:
     """Verifies or searches every pair that is due, and takes note in `joins`; says which joins began or ended."""
     looks = joins.due(snapshot, placements)
     fuser.forget_all_but(newest.grid for newest in snapshot.grids.values())
+
+    def take_all(looks: list[Look]) -> list[PairFusion]:
+        fuser.prepare([(snapshot.grids[a].grid, snapshot.grids[b].grid) for (a, b), _, _ in looks], each)
+        return list(each(take, looks))
 
     def take(look: Look) -> PairFusion:
         a, b = (snapshot.grids[robot].grid for robot in look.pair)
@@ -104,8 +106,17 @@ def _look_at_pairs(
         near = checked(fuser.verify(a, b, prior.T_a_b), prior)
         return near if near.accepted else checked(fuser.fuse(a, b), prior)
 
-    fusions = {look.pair: fusion for look, fusion in zip(looks, each(take, looks), strict=True)}
-    changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks] + joins.settle(snapshot)
+    fusions = {look.pair: fusion for look, fusion in zip(looks, take_all(looks), strict=True)}
+    changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks]
+    for pair, fusion in joins.ripe(snapshot).items():
+        asked = witnesses(pair, fusion, snapshot, placements)
+        verdict = checked_by(fusion, asked, take_all(asked))
+        if verdict.accepted:
+            changes.append(joins.join(pair, verdict, snapshot))
+        else:
+            joins.refuse(pair, verdict)
+            fusions[pair] = verdict
+    fusions = {pair: fusions[pair] for pair in sorted(fusions, key=pair_key)}
     return fusions, [change for change in changes if change]
 
 

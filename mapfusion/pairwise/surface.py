@@ -80,10 +80,11 @@ def remove_speckle(walls: Mask) -> Mask:
     solid = walls.astype(np.uint8)
     around = cv2.boxFilter(solid, cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT) - solid
     solid |= around >= 7
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(solid, connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] >= SPECKLE_CELLS
-    keep[0] = False
-    kept: Mask = keep[labels]
+    _, labels = cv2.connectedComponents(solid, connectivity=8)
+    cells = np.flatnonzero(solid)
+    islands = labels.ravel()[cells]
+    kept = np.zeros(walls.shape, np.bool_)
+    kept.ravel()[cells[np.bincount(islands)[islands] >= SPECKLE_CELLS]] = True
     return kept
 
 
@@ -99,7 +100,7 @@ def extract_surface(walls: Mask, free: Mask) -> Surface:
     """The rim of `walls` towards `free` (both (H, W) masks), in row-major order."""
     solid = walls.astype(np.uint8)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    rows, cols = np.nonzero((cv2.dilate(solid, cross) > 0) & free)
+    rows, cols = np.divmod(np.flatnonzero((cv2.dilate(solid, cross) > 0) & free), free.shape[1])
     blurred = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), NORMAL_SIGMA, borderType=cv2.BORDER_REPLICATE)
     slope_x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0)[rows, cols]
     slope_y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1)[rows, cols]
@@ -118,10 +119,17 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
     elsewhere = np.ones((free.shape[0] + 2 * m, free.shape[1] + 2 * m), np.uint8)
     elsewhere[rows, columns] = 0
     _, labels = cv2.distanceTransformWithLabels(elsewhere, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    order = np.zeros(int(labels.max()) + 1, np.int32)
+    order = np.zeros(len(surface) + 1, np.int32)
     order[labels[rows, columns]] = np.arange(len(surface), dtype=np.int32)
-    free_depth = cv2.distanceTransform(np.pad(free.astype(np.uint8), m), cv2.DIST_L2, 3)
-    near_known = cv2.dilate(np.pad(known.astype(np.uint8), m), np.ones((3, 3), np.uint8))
-    depth = np.where(near_known > 0, np.minimum(free_depth, NOT_KNOWN - 1), NOT_KNOWN).astype(np.uint8)
+    free_depth = cv2.distanceTransform(_with_margin(free), cv2.DIST_L2, 3)
+    depth = np.minimum(free_depth, NOT_KNOWN - 1, out=free_depth).astype(np.uint8)
+    near_known = cv2.dilate(_with_margin(known), np.ones((3, 3), np.uint8))
+    depth |= (near_known == 0) * np.uint8(NOT_KNOWN)
     walls = np.concatenate([surface.points.T, surface.normals.T])
-    return SurfaceField(surface, np.ascontiguousarray(walls), order[labels], depth)
+    return SurfaceField(surface, np.ascontiguousarray(walls), order.take(np.asarray(labels)), depth)
+
+
+def _with_margin(mask: Mask) -> Bytes:
+    """The mask with FIELD_MARGIN cells around it that are not in it."""
+    m = FIELD_MARGIN
+    return np.asarray(cv2.copyMakeBorder(mask.view(np.uint8), m, m, m, m, cv2.BORDER_CONSTANT, value=0), np.uint8)

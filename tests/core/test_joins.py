@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from mapfusion.joins import MAX_SEARCHES, OVERWHELMING, SETTLED_NS, Joins, Look
+from mapfusion.joins import FOLLOW_NS, MAX_SEARCHES, OVERWHELMING, SEARCH_AGAIN_NS, SETTLED_NS, Joins, Look
 from mapfusion.newest import NewestGrid
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement
@@ -21,7 +21,7 @@ AB = ("a", "b")
 
 
 def snapshot(second: float = 0.0, is_last: bool = False, known: int = 10, **versions: int) -> Snapshot:
-    """Every robot's map has `known` known columns of ten cells."""
+    """Every robot's map has `known` known columns of ten cells, which all became known."""
     cells = flat(10, 100)
     cells[:, :known] = 0
     grids = {robot: replace(NewestGrid.of(0, grid_of(cells)), version=version) for robot, version in versions.items()}
@@ -33,7 +33,8 @@ def look(
 ) -> list[str]:
     looks = joins.due(at, placements or {})
     assert len(looks) == len(fusions)
-    return [joins.record(one, fusion, at) for one, fusion in zip(looks, fusions, strict=True)] + joins.settle(at)
+    ended = [joins.record(one, fusion, at) for one, fusion in zip(looks, fusions, strict=True)]
+    return [change for change in ended if change] + [joins.join(*ripe, at) for ripe in joins.ripe(at).items()]
 
 
 def test_pairs_are_looked_at_in_natural_order_and_only_when_a_map_changed() -> None:
@@ -47,15 +48,30 @@ def test_pairs_are_looked_at_in_natural_order_and_only_when_a_map_changed() -> N
 def test_a_refused_pair_is_searched_again_when_enough_has_changed_or_at_the_end() -> None:
     joins = Joins()
     look(joins, snapshot(a=1, b=1, known=50), REFUSED)
-    assert joins.due(snapshot(a=2, b=1, known=53), {}) == []
-    assert joins.due(snapshot(a=3, b=1, known=56), {}) == [Look(AB, None)]
-    assert joins.due(snapshot(a=3, b=1, known=44), {}) == [Look(AB, None)]
+    assert joins.due(snapshot(second=30.0, a=2, b=1, known=53), {}) == []
+    assert joins.due(snapshot(second=30.0, a=3, b=1, known=56), {}) == [Look(AB, None)]
+    assert joins.due(snapshot(second=30.0, a=3, b=1, known=44), {}) == [Look(AB, None)]
     assert joins.due(snapshot(a=2, b=1, known=51, is_last=True), {}) == [Look(AB, None)]
+
+
+def test_a_refused_pair_is_not_searched_again_at_once_however_fast_its_maps_grow() -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1, known=20), REFUSED)
+    before, after = SEARCH_AGAIN_NS / SECOND_NS - 1.0, SEARCH_AGAIN_NS / SECOND_NS
+    assert joins.due(snapshot(second=before, a=2, b=1, known=80), {}) == []
+    assert joins.due(snapshot(second=after, a=2, b=1, known=80), {}) == [Look(AB, None)]
+
+
+def test_a_near_miss_is_searched_again_as_soon_as_a_map_has_grown() -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1, known=50), DOUBTFUL)
+    assert joins.due(snapshot(second=1.0, a=2, b=1, known=53), {}) == []
+    assert joins.due(snapshot(second=1.0, a=3, b=1, known=60), {}) == [Look(AB, None)]
 
 
 def test_a_join_needs_a_second_look_that_agrees() -> None:
     joins = Joins()
-    assert look(joins, snapshot(a=1, b=1), ACCEPTED) == [""]
+    assert look(joins, snapshot(a=1, b=1), ACCEPTED) == []
     assert not joins.held
     assert look(joins, snapshot(a=2, b=1), ACCEPTED) == ["a and b join"]
     assert joins.held[AB].T_a_b == T
@@ -102,7 +118,7 @@ def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
     joins = joined()
     assert joins.due(snapshot(second=1.0, a=2, b=1), {}) == []
     assert joins.due(snapshot(second=1.0, known=11, a=2, b=1), {}) == [Look(AB, T, CERTAIN)]
-    at = snapshot(second=10.0, a=2, b=1)
+    at = snapshot(second=FOLLOW_NS / SECOND_NS, a=2, b=1)
     assert joins.due(at, {}) == [Look(AB, T, CERTAIN)]
     look(joins, at, replace(ACCEPTED, T_target_source=SE2(1.1, 2.0, 0.3)))
     assert joins.held[AB].T_a_b == SE2(1.1, 2.0, 0.3)
@@ -111,14 +127,16 @@ def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
 def test_a_join_outlasts_doubt_and_a_single_contradiction() -> None:
     joins = joined()
     for version, fusion in enumerate([DOUBTFUL, DOUBTFUL, REFUSED, DOUBTFUL, REFUSED], start=2):
-        assert look(joins, snapshot(second=10.0 * version, a=version, b=1), fusion) == [""]
+        assert look(joins, snapshot(second=FOLLOW_NS / SECOND_NS * version, a=version, b=1), fusion) == []
     assert AB in joins.held
 
 
 def test_contradictions_in_a_row_end_a_join_and_say_why() -> None:
     joins = joined()
-    assert look(joins, snapshot(second=10.0, a=2, b=1), REFUSED) == [""]
-    assert look(joins, snapshot(second=11.0, a=3, b=1), REFUSED) == ["the join of a and b ends: walls disagree"]
+    assert look(joins, snapshot(second=FOLLOW_NS / SECOND_NS, a=2, b=1), REFUSED) == []
+    assert look(joins, snapshot(second=FOLLOW_NS / SECOND_NS + 1.0, a=3, b=1), REFUSED) == [
+        "the join of a and b ends: walls disagree"
+    ]
     assert not joins.held
     assert joins.due(snapshot(a=4, b=1), {}) == [Look(AB, None)]
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations, pairwise
 
 import cv2
@@ -18,8 +20,9 @@ from mapfusion.simulation.messages import Mission
 from mapfusion.simulation.mission import simulate_mission
 from mapfusion.simulation.mission_config import MissionConfig, generator
 from mapfusion.simulation.plan import PLAN_RESOLUTION_M
-from mapfusion.steps import FusionStep, GridEvent
+from mapfusion.steps import Event, FusionStep, GridEvent
 from mapfusion.transform import SE2, FloatArray
+from tests.fakes import SECOND_NS
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +75,26 @@ def test_every_pair_that_was_refused_has_a_reason(steps: list[FusionStep]) -> No
         assert report.fusion.mae is None or 0.0 <= report.fusion.mae <= 255.0
 
 
+def test_a_join_is_withdrawn_when_one_map_is_replaced_by_another_buildings() -> None:
+    ours, others = (
+        list(mission_events(simulate_mission(MissionConfig(seed=seed, num_robots=2, duration_s=60.0, overlap=0.8))))
+        for seed in (17, 18)
+    )
+    replaced_ns = maps_of(ours, "robot2")[6].stamp_ns
+    theirs = maps_of(others, "robot2")[-1].grid
+    events = [
+        replace(event, grid=theirs)
+        if isinstance(event, GridEvent) and event.robot == "robot2" and event.stamp_ns >= replaced_ns
+        else event
+        for event in ours
+    ]
+    steps = list(replay(events))
+    joined = [step.stamp_ns for step in steps if len(step.placements) == 2]
+    assert joined[0] < replaced_ns
+    assert joined[-1] < replaced_ns + 15 * SECOND_NS
+    assert any(change.startswith("the join of robot1 and robot2 ends") for step in steps for change in step.changes)
+
+
 def test_the_merged_map_has_the_walls_of_the_place_and_no_others() -> None:
     """Against the floor plan: walls that some beam hit, within 2 cells."""
     config = MissionConfig(seed=2, num_robots=2, duration_s=60.0, overlap=0.7)
@@ -91,6 +114,11 @@ def test_the_merged_map_has_the_walls_of_the_place_and_no_others() -> None:
         mae = agreement(last.maps[1], grid, last.placements[robot].T_group_map).mae
         assert mae is not None
         assert mae < 10.0
+
+
+def maps_of(events: Sequence[Event], robot: str) -> list[GridEvent]:
+    """A robot's maps."""
+    return [event for event in events if isinstance(event, GridEvent) and event.robot == robot]
 
 
 def raster(shape: tuple[int, ...], points_m: FloatArray) -> Mask:

@@ -33,3 +33,19 @@ def test_a_grid_on_another_lattice_starts_anew() -> None:
 def test_grids_that_share_no_cell() -> None:
     first = NewestGrid.of(10, grid_of(flat(4, 4, 0), 0.5))
     assert (NewestGrid.of(20, grid_of(flat(4, 4, 0), 0.5, SE2(50.0, 0.0, 0.0)), first).since_ns == 20).all()
+
+
+def test_what_changed_is_counted_over_all_grids_of_a_robot() -> None:
+    first = NewestGrid.of(10, grid_of(np.array([[0, 100], [-1, 0]], np.int8)))
+    assert first.num_changed == 3
+    same = NewestGrid.of(20, first.grid, first)
+    assert same.num_changed == 3
+    # A wall that became free, a cell that became known, a free cell that is a little less sure.
+    second = NewestGrid.of(30, grid_of(np.array([[10, 0], [100, 0]], np.int8)), same)
+    assert second.num_changed == 3 + 2
+
+
+def test_across_a_change_of_the_lattice_the_known_cells_are_compared() -> None:
+    first = NewestGrid.of(10, grid_of(flat(4, 4, 0), 0.5))
+    shifted = NewestGrid.of(20, grid_of(flat(4, 5, 0), 0.5, SE2(0.2, 0.0, 0.0)), first)
+    assert shifted.num_changed == 16 + 4
