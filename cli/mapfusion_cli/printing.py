@@ -31,6 +31,8 @@ def show(text: str) -> None:
 
     Characters that the terminal does not have are written as escapes.
     """
+    if sys.stdout is None:  # closed before the start
+        return
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     try:
         typer.echo(text.encode(encoding, "backslashreplace").decode(encoding))

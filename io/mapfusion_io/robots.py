@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from mapfusion.errors import ConfigError
 from mapfusion.steps import natural_key
 from mapfusion_io.read_errors import printable
-from mapfusion_io.survey import Survey, TopicSurvey
+from mapfusion_io.survey import Survey
+from mapfusion_io.topic_survey import TopicSurvey
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,16 +182,21 @@ def _choose(surveys: Sequence[Survey], overrides: RobotOverrides) -> tuple[list[
     return chosen, passed_over
 
 
-def _no_robots_map(survey: Survey, topic: TopicSurvey) -> str:
+def foreign_map(survey: Survey, topic: TopicSurvey) -> str:
+    """Why a topic with maps is no robot's, whatever its messages hold; empty where it may be one's."""
     if topic.undecodable:
         return topic.undecodable
     if "costmap" in topic.topic:
         return "a costmap, not a map"
     if survey.is_own_output and topic.topic.startswith("/fused"):
         return "an earlier result of mapfusion"
-    if not topic.stamps_ns:
-        return "no message that can be believed" if topic.count else "no messages"
     return ""
+
+
+def _no_robots_map(survey: Survey, topic: TopicSurvey) -> str:
+    if topic.stamps_ns:
+        return foreign_map(survey, topic)
+    return foreign_map(survey, topic) or ("no message that can be believed" if topic.count else "no messages")
 
 
 def _colliding(chosen: Sequence[_Choice], of_namespace: Mapping[tuple[str, str], str]) -> set[str]:
