@@ -191,7 +191,12 @@ def existing(paths: Sequence[Path]) -> None:
     LogReadError: An input is not there.
     """
     from mapfusion.errors import LogReadError
+    from mapfusion_io.read_errors import os_error
 
     for path in paths:
-        if not path.exists():
+        try:
+            is_there = path.exists()
+        except OSError as error:  # a name that is too long, a folder that may not be entered
+            raise os_error(path, error) from error
+        if not is_there:
             raise LogReadError(f"{path}: there is no such file or folder")

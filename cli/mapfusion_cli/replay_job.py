@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Mapping
@@ -180,12 +181,12 @@ def _in_options(words: str) -> str:
 def _refuse_output_that_is_input(job: ReplayJob) -> None:
     if str(job.output) == "-":
         raise ConfigError("-: the output must be a file; it is completed before it gets its name")
-    inputs = [path.resolve() for path in job.inputs]
+    inputs = [Path(os.path.realpath(path)) for path in job.inputs]  # Path.resolve fails on links in a circle
     if len(set(inputs)) < len(inputs):
         raise ConfigError("an input is given twice")
-    target = job.output.resolve()
-    for path in job.inputs:
-        if target == path.resolve() or path.resolve() in target.parents:
+    target = Path(os.path.realpath(job.output))
+    for path in inputs:
+        if target == path or path in target.parents:
             raise ConfigError(f"{job.output}: the output is an input. The last argument is the file to write.")
 
 
