@@ -44,6 +44,8 @@ class McapPass:
         self._counted: Counter[int] = Counter()
         self._orphans: Counter[int] = Counter()
         self._num_unsigned = 0
+        self._num_inner = 0
+        self._named: set[int] = set()
         self.losses: list[Loss] = []
         self.num_records = 0
         self.verified = True
@@ -92,7 +94,8 @@ class McapPass:
             except DamagedError as error:
                 if data_ended:
                     return  # only the index behind the data is damaged or cut off
-                resume = next((start for start in self._summary.chunk_offsets if start > offset), None)
+                self._named.add(offset)
+                resume = next((start for start in self._summary.chunk_ends if start > offset), None)
                 if resume is None and not self.num_records:
                     raise read_error(
                         self._path, f"is no whole MCAP file: {error.detail}", "It was cut off or overwritten."
@@ -106,9 +109,13 @@ class McapPass:
 
     def _chunk(self, file: BinaryIO, record: Record) -> Iterator[RawMessage]:
         where = f"chunk at byte {record.offset}"
+        self._named.add(record.offset)
         try:
             if record.length > self._limits.record_bytes:
                 raise DamagedError("over limit", self._over_bytes(record))
+            if self._num_inner > self._limits.chunked_records:
+                detail = f"the chunks before it hold more than {self._limits.chunked_records} records"
+                raise DamagedError("over limit", detail)
             data, signed = chunk_contents(record.body, self._limits)
         except DamagedError as error:
             self._lose_chunk(indexed_counts(file, record.end), where, error)
@@ -117,6 +124,7 @@ class McapPass:
         num_before = counted.total()
         try:
             for opcode, start, end in framed(data, self._limits.idle_records):
+                self._num_inner += 1
                 if opcode == _MESSAGE:
                     if end - start < MESSAGE_HEAD.size:
                         self.lose("malformed record", where, detail="a message without its head")
@@ -185,6 +193,10 @@ class McapPass:
         if self._channels.num_refused:
             detail = f"{self._channels.num_refused} definitions of topics or types are too many or too large"
             self.lose("over limit", "whole file", detail=detail)
+        for start, end in self._summary.chunk_ends.items():
+            if start not in self._named:
+                error = DamagedError("missing chunk", "there is none where the file's own index has one")
+                self._lose_chunk(indexed_counts(file, end), f"chunk at byte {start}", error)
         counts = self._summary.message_counts
         for channel_id, count in sorted(self._orphans.items()):
             if (
@@ -194,6 +206,10 @@ class McapPass:
                 self.lose("definition lost", f"channel {channel_id}", "", count, detail)
         for channel_id, expected in sorted((counts or {}).items()):
             self._compare(channel_id, expected)
+        num_expected, num_found = self._summary.num_messages, self._counted.total() + self._orphans.total()
+        if counts is None and num_expected is not None and num_found < num_expected and self._channels.are_all_wanted:
+            detail = f"the file's own statistics count {num_expected}"
+            self.lose("missing messages", "whole file", count=num_expected - num_found, detail=detail)
         if self._num_unsigned:
             self._check_unsigned(file)
 

@@ -21,6 +21,7 @@ class ReadLimits:
         definition_bytes: Total size of all definitions of channels and types.
         name_characters: Longest name of a topic or type.
         frames: Most frames that one topic may name.
+        chunked_records: Most records in all chunks of a recording; the chunk that reaches it is read to its end.
         idle_records: Most records in a row that hold no message.
         losses: Most losses that are noted one by one, and most reasons for which a topic's messages are refused.
 
@@ -38,6 +39,7 @@ class ReadLimits:
     definition_bytes: int = 64 * 2**20
     name_characters: int = 1_024
     frames: int = 10_000
+    chunked_records: int = 50_000_000
     idle_records: int = 100_000
     losses: int = 1_000
 

@@ -103,6 +103,7 @@ class _Pass:
         self._topics: dict[int, str] = {}
         self._counted: Counter[int] = Counter()
         self._orphans: Counter[int] = Counter()
+        self._num_inner = 0
         self.losses: list[Loss] = []
         self.num_found = 0
 
@@ -155,6 +156,9 @@ class _Pass:
     def _chunk(self, record: BagRecord, index: BagIndex) -> Iterator[RawMessage]:
         where = f"chunk at byte {record.offset}"
         try:
+            if self._num_inner > self._limits.chunked_records:
+                detail = f"the chunks before it hold more than {self._limits.chunked_records} records"
+                raise DamagedError("over limit", detail)
             data = chunk_contents(record, self._limits.record_bytes)
         except DamagedError as error:
             self._lose_chunk(index.chunk_counts.get(record.offset, {}), where, error)
@@ -162,6 +166,7 @@ class _Pass:
         self.num_found += 1
         try:
             for inner in records(BytesIO(data), 0, len(data), self._limits.record_bytes, _WANTED):
+                self._num_inner += 1
                 yield from self._inner(inner, where)
         except DamagedError as error:
             self.lose("damaged record", where, detail=error.detail)
