@@ -69,6 +69,16 @@ MaxChunkOption = Annotated[
 MaxMapCellsOption = Annotated[
     int, typer.Option("--max-map-cells", metavar="N", min=1, help="Largest map.", rich_help_panel=_LIMITS)
 ]
+MaxAllCellsOption = Annotated[
+    int,
+    typer.Option(
+        "--max-all-cells",
+        metavar="N",
+        min=1,
+        help="Most cells of all robots' maps together, of each its largest; further robots are left out.",
+        rich_help_panel=_LIMITS,
+    ),
+]
 MaxMessagesOption = Annotated[
     int,
     typer.Option(
@@ -85,7 +95,7 @@ MaxMergedCellsOption = Annotated[
 MaxRobotsOption = Annotated[
     int, typer.Option("--max-robots", metavar="N", min=1, help="Most robots.", rich_help_panel=_LIMITS)
 ]
-MAX_CHUNK_MIB, MAX_MAP_CELLS, MAX_MESSAGES, MAX_ROBOTS = 256, 32 * 2**20, 10_000_000, 100
+MAX_CHUNK_MIB, MAX_MAP_CELLS, MAX_ALL_CELLS, MAX_MESSAGES, MAX_ROBOTS = 256, 32 * 2**20, 128 * 2**20, 10_000_000, 100
 """The defaults of `mapfusion_io.read_limits.ReadLimits`, which takes too long to import for `--help`."""
 StartOption = Annotated[
     str | None,
@@ -105,6 +115,7 @@ def mission_options(
     base_frame: Sequence[str] | None,
     max_chunk: int,
     max_map_cells: int,
+    max_all_cells: int,
     max_messages: int,
     max_robots: int,
     start: str | None = None,
@@ -129,7 +140,11 @@ def mission_options(
         base_frames=named_values("--base-frame", base_frame),
         time_range=TimeRange(start, end, duration),
         limits=ReadLimits(
-            record_bytes=max_chunk * 2**20, map_cells=max_map_cells, messages=max_messages, robots=max_robots
+            record_bytes=max_chunk * 2**20,
+            map_cells=max_map_cells,
+            all_cells=max_all_cells,
+            messages=max_messages,
+            robots=max_robots,
         ),
     )
 

@@ -82,7 +82,7 @@ class Mission:
     def __init__(self, surveys: Sequence[Survey], options: MissionOptions) -> None:
         self.surveys = tuple(surveys)
         self.limits = options.limits
-        found = find_robots(surveys, RobotOverrides(options.robots, options.drop), options.limits.robots)
+        found = find_robots(surveys, RobotOverrides(options.robots, options.drop), options.limits)
         self._over_limit = found.over_limit
         self.unique_frames = found.unique_frames
         self.shifts_ns = recording_shifts_ns(surveys, options.align_start)

@@ -12,6 +12,7 @@ class ReadLimits:
     Attributes:
         record_bytes: Largest record, and largest chunk once decompressed.
         map_cells: Largest map.
+        all_cells: Most cells of all robots' maps together, of each robot its largest.
         messages: Most maps, transforms and poses that are taken of a recording; a message with several transforms
             counts as several.
         robots: Most robots of a mission.
@@ -31,6 +32,7 @@ class ReadLimits:
 
     record_bytes: int = 256 * 2**20
     map_cells: int = 32 * 2**20
+    all_cells: int = 128 * 2**20
     messages: int = 10_000_000
     robots: int = 100
     sample_bytes: int = 2**20

@@ -133,6 +133,7 @@ class SurveyTaker:
                 raise OverLimitError("", 0, f"more than {self._limits.frames} frames")
             topic.frames[found.frame_id] += 1
             topic.last_grid = found
+            topic.most_cells = max(topic.most_cells, found.cells.size)
         topic.num_zero_stamps += found.stamp_ns == 0
         topic.stamps_ns.append(stamp_ns)
         topic.lags_ns.append(stamp_ns - log_time_ns)

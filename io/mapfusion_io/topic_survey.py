@@ -41,6 +41,7 @@ class TopicSurvey:
         num_zero_stamps: Messages whose header's stamp is zero, so that their log time counts.
         refused: Number of messages, or of transforms in them, that were not taken, by kind of loss and reason.
         last_grid: Grids: the last one in file order that can be believed.
+        most_cells: Grids: number of cells of the largest that can be believed.
         buffer: Transforms and poses: their samples. A pose topic is an edge from the message's frame to the topic's
             name, whose leading slash keeps it apart from every frame.
     """
@@ -63,6 +64,7 @@ class TopicSurvey:
     num_zero_stamps: int = 0
     refused: Counter[tuple[str, str]] = field(default_factory=Counter)
     last_grid: OccupancyGrid | None = None
+    most_cells: int = 0
     buffer: TransformBuffer = field(default_factory=TransformBuffer)
 
     def refuse(self, kind: str, reason: str, count: int = 1) -> None:

@@ -185,6 +185,27 @@ def test_rows_that_are_no_messages(tmp_path: Path) -> None:
     ]
 
 
+def test_messages_over_the_limit_are_named(tmp_path: Path) -> None:
+    recording = Sqlite3Recording(database(tmp_path), ReadLimits(record_bytes=200))
+    found = delivered(recording)
+    assert found == [item for item in MESSAGES if len(item.data) <= 200]
+    assert 0 < len(found) < len(MESSAGES)
+    assert {(loss.kind, loss.count) for loss in recording.losses} == {("over limit", 1)}
+    assert len(found) + len(recording.losses) == len(MESSAGES)
+
+
+def test_settings_that_would_take_minutes_to_parse_are_refused(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    connection = sqlite3.connect(path)
+    connection.execute("UPDATE topics SET offered_qos_profiles = ?", ["- {a: b}\n" * 500_000])
+    connection.commit()
+    connection.close()
+    started_s = time.process_time()
+    with pytest.raises(LogReadError, match="QoS profiles"):
+        delivered(Sqlite3Recording(path))
+    assert time.process_time() - started_s < 1.0
+
+
 def test_journal_that_was_never_merged_is_named(tmp_path: Path) -> None:
     path = database(tmp_path)
     path.with_name("run.db3-wal").write_bytes(b"x")
