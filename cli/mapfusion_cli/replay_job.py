@@ -123,7 +123,7 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
                     output.write(replace(step, pairs=tuple(pair.latest for pair in summary.pairs_in_order)))
                 progress.reached(step.stamp_ns)
             output.copy_rest()
-            losses = (*mission.losses, *_too_large(summary))
+            losses = (*mission.losses, *_left_out_of_maps(summary, config.max_merged_cells))
             if job.strict and losses:
                 loss = losses[0]
                 raise LogReadError(f"{loss.source}: {loss.kind} at {loss.where} (--strict): {loss.detail}")
@@ -133,10 +133,11 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
     return Done(mission, summary, losses, document, _left_out(inputs), elapsed_s, job.output)
 
 
-def _too_large(summary: Summary) -> list[Loss]:
+def _left_out_of_maps(summary: Summary, max_cells: int) -> list[Loss]:
+    detail = "{} lies too far away, or is too large, for a merged map of {} cells with the others"
     return [
-        Loss("output", "over limit", f"group {group}", count=count, detail=reason)
-        for group, (count, reason) in sorted(summary.over_limit.items())
+        Loss("output", "over limit", f"group {group}", count=count, detail=detail.format(robot, max_cells))
+        for (group, robot), count in sorted(summary.left_out.items())
     ]
 
 
