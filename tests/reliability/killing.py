@@ -57,7 +57,7 @@ def complaints(recording: Path, folder: Path, count: int, seed: int) -> tuple[li
             process.send_signal(sent)
             _, err = process.communicate()
         num_killed += process.returncode != 0
-        left = [item.name for item in folder.glob(f".*-{process.pid}.partial")]
+        left = [item.name for item in folder.glob(f".*-{process.pid}-*.partial")]
         if left and sent is not signal.SIGKILL:
             wrong.append(f"{sent.name}: left {left}")
         if "Traceback" in err and sent is not signal.SIGINT:
