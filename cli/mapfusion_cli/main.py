@@ -71,6 +71,8 @@ def run(arguments: Sequence[str] | None = None) -> None:
         _fail(str(error), USAGE)
     except MapfusionError as error:
         _fail(str(error), FAILED)
+    except KeyboardInterrupt:  # while the library puts the command together; later it says the same itself
+        raise SystemExit(128 + signal.SIGINT) from None
     except MemoryError:
         _fail("out of memory", FAILED)
     except OSError as error:  # the library prints the help, and nothing else leaves as one

@@ -355,9 +355,10 @@ def test_a_disk_that_gets_full_at_any_write_leaves_no_file(tmp_path: Path, monke
             try:
                 write_mission(path, steps, force=True)
             except LogWriteError as error:
-                assert str(error) == f"{path}: cannot be written: No space left on device"
+                words = str(error)
             else:
                 break
+        assert words == f"{path}: cannot be written: No space left on device"
         assert list(tmp_path.iterdir()) == [path]
         assert path.read_bytes() == b"old"
     assert num_good > 10
