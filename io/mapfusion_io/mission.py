@@ -104,10 +104,12 @@ class Mission:
         if len(self.robots) >= 2:
             return
         files = ", ".join(survey.recording.path.name for survey in self.surveys)
+        losses = self.losses
+        lost = f"What was there is lost in part ({losses[0].kind} at {printable(losses[0].where)}). " if losses else ""
         if self.robots:
             raise MissionError(
                 f"{files}: only one robot with a map ({self.robots[0].name}), a fusion needs two.\n"
-                "Give the other robots' recordings as well, or name its map topic with --robot NAME=TOPIC; "
+                f"{lost}Give the other robots' recordings as well, or name its map topic with --robot NAME=TOPIC; "
                 "`mapfusion info` lists what was passed over."
             )
         maps = [item for item in self.passed_over if item.schema_name in GRID_TYPES]
@@ -118,7 +120,7 @@ class Mission:
         there = ", ".join(listed[:4]) + (f" and {len(listed) - 4} more" if len(listed) > 4 else "")
         raise MissionError(
             f"{files}: no robot's map in it (nav_msgs/OccupancyGrid), only {there or 'nothing'}.\n"
-            "Record each robot's map topic; `mapfusion info` lists what is there."
+            f"{lost}Record each robot's map topic; `mapfusion info` lists what is there."
         )
 
     def events(self) -> Iterator[Event]:

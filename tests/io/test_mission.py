@@ -3,6 +3,7 @@ import pytest
 
 from mapfusion.errors import ConfigError, MissionError
 from mapfusion.steps import GridEvent, RobotEvent
+from mapfusion_io.interfaces import Loss
 from mapfusion_io.mission import Mission, MissionOptions
 from mapfusion_io.time_range import TimeRange
 from tests.io.fake_recordings import CELLS, Sender, grids, mission, ns, surveyed
@@ -82,3 +83,8 @@ def test_fewer_than_two_robots_are_no_mission() -> None:
         mission(send.grid("/a/map", 0.0, "a/map")).require_robots()
     with pytest.raises(MissionError, match="/chatter"):
         mission(send.text("/chatter", 0.0)).require_robots()
+    lost = (Loss("run.mcap", "truncated", "byte 99"),)
+    with pytest.raises(
+        MissionError, match=r"only one robot.*\nWhat was there is lost in part \(truncated at byte 99\)"
+    ):
+        mission(send.grid("/a/map", 0.0, "a/map"), losses=lost).require_robots()
