@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -76,6 +77,7 @@ class McapPass:
     def _records(self, file: BinaryIO, size: int) -> Iterator[Record]:
         """Every record that can be found: behind damage the walk goes on at the next chunk that the summary knows."""
         offset, data_ended = len(MAGIC), False
+        starts = list(self._summary.chunk_ends)
         while True:
             try:
                 for record in records_from(file, offset, size, self._limits, MESSAGE_RECORDS):
@@ -95,7 +97,8 @@ class McapPass:
                 if data_ended:
                     return  # only the index behind the data is damaged or cut off
                 self._named.add(offset)
-                resume = next((start for start in self._summary.chunk_ends if start > offset), None)
+                later = bisect_right(starts, offset)
+                resume = starts[later] if later < len(starts) else None
                 if resume is None and not self.num_records:
                     raise read_error(
                         self._path, f"is no whole MCAP file: {error.detail}", "It was cut off or overwritten."

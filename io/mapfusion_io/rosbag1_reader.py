@@ -6,6 +6,7 @@ gives up at the first damage.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -134,6 +135,7 @@ class _Pass:
 
     def _data(self, file: BinaryIO, offset: int, end: int, index: BagIndex) -> Iterator[RawMessage]:
         """The bag up to its index; behind damage the walk goes on at the next chunk that the index knows."""
+        starts = sorted(index.chunk_counts)
         while True:
             try:
                 for record in records(file, offset, end, self._limits.record_bytes, _WANTED):
@@ -144,7 +146,8 @@ class _Pass:
                         yield from self._inner(record, f"byte {record.offset}")
                 return
             except DamagedError as error:
-                resume = min((start for start in index.chunk_counts if start > offset), default=None)
+                later = bisect_right(starts, offset)
+                resume = starts[later] if later < len(starts) else None
                 if resume is None:
                     if error.kind == "truncated":
                         yield from self._cut_chunk(file, offset, end)

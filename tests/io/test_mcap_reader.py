@@ -410,3 +410,21 @@ def test_a_flood_of_tiny_records_in_chunks_ends_by_name(tmp_path: Path) -> None:
     assert 5 < len(found) < 20
     assert {loss.kind for loss in recording.losses} == {"over limit"}
     assert sum(loss.count or 0 for loss in recording.losses) == 40 - len(found)
+
+
+def test_an_index_of_chunks_that_are_not_there(tmp_path: Path) -> None:
+    def indexed(count: int, length: int) -> bytes:
+        indexes = b"".join(
+            record(8, struct.pack("<QQQQI", 0, 0, 100 + start, length, 0) + struct.pack("<QIQQ", 0, 0, 0, 0))
+            for start in range(count)
+        )
+        data = HEADER + CHANNEL + message(b"x") + bytes(count + 200)
+        return data + indexes + record(2, struct.pack("<QQI", len(data), 0, 0)) + MAGIC
+
+    started_s = time.process_time()
+    for content in (indexed(30_000, 50), indexed(3, 2**64 - 200)):
+        recording = recording_of(tmp_path, content)
+        assert len(delivered(recording)) == 1
+        assert {loss.kind for loss in recording.losses} <= {"damaged record", "missing chunk", "further losses"}
+        assert recording.losses
+    assert time.process_time() - started_s < 3.0

@@ -206,6 +206,26 @@ def test_settings_that_would_take_minutes_to_parse_are_refused(tmp_path: Path) -
     assert time.process_time() - started_s < 1.0
 
 
+def test_more_topics_and_definitions_than_the_library_can_take_are_refused(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    connection = sqlite3.connect(path)
+    rows = [(f"a/msg/T{number}", "ros2msg", "int8 x", "") for number in range(5000)]
+    connection.executemany(
+        "INSERT INTO message_definitions (topic_type, encoding, encoded_message_definition, type_description_hash) "
+        "VALUES (?, ?, ?, ?)",
+        rows,
+    )
+    connection.executemany(
+        "INSERT INTO topics (name, type, serialization_format, offered_qos_profiles, type_description_hash) "
+        "VALUES ('/t', ?, 'cdr', '', '')",
+        [row[:1] for row in rows],
+    )
+    connection.commit()
+    connection.close()
+    with pytest.raises(LogReadError, match="too many topics"):
+        delivered(Sqlite3Recording(path))
+
+
 def test_journal_that_was_never_merged_is_named(tmp_path: Path) -> None:
     path = database(tmp_path)
     path.with_name("run.db3-wal").write_bytes(b"x")

@@ -167,8 +167,10 @@ def test_a_robot_placed_far_away_does_not_blow_up_the_merged_map(tmp_path: Path)
     assert result["losses"][0]["detail"].startswith("b lies too far away")
     assert result["groups"][0]["robots"] == ["a", "b"]
     with output.open("rb") as file:
-        (merged,) = (message for _, channel, message in make_reader(file).iter_messages(["/fused/map"]))
+        found = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
+    (merged,) = (message for topic, message in found if topic == "/fused/map")
     assert 90 * 150 < len(merged.data) < 100 * 150  # what a knows
+    assert "/fused/b/pose" in {topic for topic, _ in found}
 
 
 def test_maps_that_come_in_reverse_are_not_all_held(tmp_path: Path) -> None:

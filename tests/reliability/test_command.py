@@ -4,12 +4,15 @@ import json
 from itertools import chain, islice
 from pathlib import Path
 
-from tests.io.making import mcap_bytes
+import pytest
+
+from tests.io.making import SHARED, mcap_bytes
 from tests.reliability.missions import mission
 from tests.reliability.running import command, complaint_about
 from tests.reliability.sweeping import cuts, flips, smears
 
 RECORDING = mcap_bytes(mission(2), chunk_size=2000)
+CONFORMANCE = sorted((SHARED / "conformance").glob("*.mcap"))
 FAST = ("--profile", "paper", "--final-only", "--json")
 
 
@@ -55,3 +58,18 @@ def test_strict_writes_nothing_where_anything_is_lost(tmp_path: Path) -> None:
     ran = command("replay", recording, output, "--strict", "--force", *FAST)
     assert (ran.code, output.read_bytes()) == (1, b"old")
     assert "--strict" in ran.err
+
+
+@pytest.mark.skipif(not CONFORMANCE, reason="no conformance files beside the repository")
+def test_conformance_files_end_in_a_word(tmp_path: Path) -> None:
+    """None holds a robot's map; many have no topic, no chunk, no index or no summary."""
+    for path in CONFORMANCE:
+        ran = command("info", path)
+        assert (ran.code, ran.err) == (0, ""), path.name
+        assert "lost: " not in ran.out, path.name
+    for path in CONFORMANCE[::4]:
+        ran = command("replay", path, tmp_path / "fused.mcap")
+        assert ran.code == 1, path.name
+        assert ran.err.startswith(f"mapfusion: {path.name}: no robot's map in it"), path.name
+        assert len(ran.err.splitlines()) == 2, path.name
+    assert list(tmp_path.iterdir()) == []
