@@ -216,9 +216,10 @@ def _colliding(chosen: Sequence[_Choice], of_namespace: Mapping[tuple[str, str],
     used: dict[tuple[str, str], set[str]] = defaultdict(set)
     for survey, topic in chosen:
         used["topic", topic.topic].add(survey.name)
+        used["frame", within.unique(survey, topic.topic, _frame(topic))].add(survey.name)
+    for survey in {survey.name: survey for survey, _ in chosen}.values():
         for other in survey.topics.values():
-            frames = set(other.buffer.frames) | ({_frame(topic)} if other is topic else set())
-            for frame in frames - {other.topic}:
+            for frame in other.buffer.frames - {other.topic}:
                 used["frame", within.unique(survey, other.topic, frame)].add(survey.name)
     return {name for names in used.values() if len(names) > 1 for name in names}
 
