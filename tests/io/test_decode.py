@@ -8,6 +8,7 @@ import pytest
 
 from mapfusion.errors import LogReadError
 from mapfusion_io.decode import Decoder, MalformedMessageError
+from mapfusion_io.definitions import MAX_DEFINITIONS
 from mapfusion_io.interfaces import RawMessage
 from tests.io.making import (
     HUMBLE,
@@ -35,6 +36,16 @@ POINT_IDL = b"""module demo { module msg { struct Pair {
 
 def own(type_name: str, definition: str, data: bytes, encoding: str = "ros2msg", **channel: Any) -> RawMessage:
     return raw_message(type_name, data, schema_encoding=encoding, schema_data=definition.encode(), **channel)
+
+
+def test_past_many_definitions_the_usual_one_is_taken(caplog: pytest.LogCaptureFixture) -> None:
+    decoder = Decoder()
+    definitions = [f"# {number}\n{GRID_DEFINITION.decode()}" for number in range(MAX_DEFINITIONS + 20)]
+    for definition in [*definitions, definitions[0]]:
+        assert (decoder.decode(own(GRID, definition, GRID_BYTES)).info.width) == 40
+    assert caplog.text.count("the usual one is taken") == 1
+    pair = own("demo/msg/Pair", "int32 first\n", bytes(8))
+    assert "more than 64 definitions" in (decoder.supported(pair.channel) or "")
 
 
 @pytest.mark.parametrize("definition", [b"", GRID_DEFINITION, GRID_DEFINITION.replace(b"\n", b"\r\n")])
