@@ -175,12 +175,19 @@ class Mission:
             if (robots := [robot for robot in self.robots if robot.found.survey is survey])
         ]
         newest: dict[str, OccupancyGrid] = {}
+        num_updated_cells = 0
         for stamp_ns, robot, message in heapq.merge(*streams, key=lambda item: item[0]):
+            base, is_update = newest.get(robot.name), not isinstance(message, OccupancyGrid)
+            topic, source = robot.grid_topics[is_update].topic, robot.found.survey.recording.path.name
+            if is_update and base is not None:
+                num_updated_cells += base.cells.size
+                if num_updated_cells > self.limits.updated_cells:
+                    reason = f"patches on more than {self.limits.updated_cells} cells of maps"
+                    self._bad_grids[source, "over limit", topic, reason] += 1
+                    continue
             try:
-                grid = whole_grid(robot, message, newest.get(robot.name))
+                grid = whole_grid(robot, message, base)
             except ValueError as error:
-                topic = robot.grid_topics[not isinstance(message, OccupancyGrid)].topic
-                source = robot.found.survey.recording.path.name
                 self._bad_grids[source, "malformed message", topic, str(error)] += 1
                 continue
             newest[robot.name] = grid

@@ -17,6 +17,7 @@ class ReadLimits:
             counts as several.
         robots: Most robots of a mission.
         sample_bytes: Largest message with transforms or a pose.
+        updated_cells: Most cells of maps that patches are laid over, counted for every patch: each makes a map anew.
         held_cells: Most cells of maps that wait for an earlier map which stands later in the file.
         definitions: Most channels, counting each redefinition.
         definition_bytes: Total size of all definitions of channels and types.
@@ -36,6 +37,7 @@ class ReadLimits:
     messages: int = 10_000_000
     robots: int = 100
     sample_bytes: int = 2**20
+    updated_cells: int = 2**36
     held_cells: int = 2**30
     definitions: int = 65_536
     definition_bytes: int = 64 * 2**20

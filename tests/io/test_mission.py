@@ -5,6 +5,7 @@ from mapfusion.errors import ConfigError, MissionError
 from mapfusion.steps import GridEvent, RobotEvent
 from mapfusion_io.interfaces import Loss
 from mapfusion_io.mission import Mission, MissionOptions
+from mapfusion_io.read_limits import ReadLimits
 from mapfusion_io.time_range import TimeRange
 from tests.io.fake_recordings import CELLS, Sender, grids, mission, ns, surveyed
 
@@ -44,6 +45,15 @@ def test_updates_are_laid_over_the_last_full_map() -> None:
     losses = {loss.detail: loss.count for loss in made.losses}
     assert losses["an update before the first map"] == 1
     assert any("beyond the grid" in detail for detail in losses)
+
+
+def test_patches_on_too_many_cells_are_lost_by_name() -> None:
+    send = Sender()
+    patch = np.full((1, 1), 100, np.int8)
+    updates = [send.update("/a/map_updates", 1.0 + step, patch, 0, 0) for step in range(4)]
+    made = mission(send.grid("/a/map", 0.0), *updates, limits=ReadLimits(updated_cells=2 * CELLS.size))
+    assert [stamp for _, stamp in grids(made)] == [0.0, 1.0, 2.0]
+    assert [(loss.kind, loss.topic, loss.count) for loss in made.losses] == [("over limit", "/a/map_updates", 2)]
 
 
 def test_zero_stamps_take_the_log_time_and_the_log_clock_takes_it_always() -> None:
