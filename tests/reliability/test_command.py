@@ -1,13 +1,16 @@
 """Damaged recordings through the command line."""
 
 import json
+from collections import Counter
+from collections.abc import Callable
 from itertools import chain, islice
 from pathlib import Path
 
 import pytest
+from rosbags.rosbag2 import StoragePlugin
 
-from tests.io.making import SHARED, mcap_bytes
-from tests.reliability.missions import mission
+from tests.io.making import SHARED, Sent, mcap_bytes, ros1_grid, write_rosbag1, write_rosbag2
+from tests.reliability.missions import GRID, START_NS, maps, mission
 from tests.reliability.running import command, complaint_about
 from tests.reliability.sweeping import cuts, flips, smears
 
@@ -39,6 +42,45 @@ def test_three_hundred_damaged_recordings(tmp_path: Path) -> None:
         codes.add(ran.code)
     assert number >= 299
     assert codes == {0, 1, 3}
+
+
+def bag_of_two_robots(folder: Path) -> bytes:
+    grids = [
+        Sent(f"/{robot}/map", GRID, START_NS + second * 10**9, ros1_grid(cells, f"/{robot}/map"))
+        for second in range(3)
+        for robot, cells in maps().items()
+    ]
+    write_rosbag1(folder / "whole.bag", grids, chunk_bytes=20_000)
+    return (folder / "whole.bag").read_bytes()
+
+
+def database_of_two_robots(folder: Path) -> bytes:
+    write_rosbag2(folder / "whole", mission(2), StoragePlugin.SQLITE3)
+    return next((folder / "whole").glob("*.db3")).read_bytes()
+
+
+@pytest.mark.parametrize("make", [bag_of_two_robots, database_of_two_robots])
+def test_damaged_recordings_without_checksums(make: Callable[[Path], bytes], tmp_path: Path) -> None:
+    recording, output = tmp_path / "recording", tmp_path / "out" / "fused.mcap"
+    output.parent.mkdir()
+    content = make(tmp_path)
+    step = len(content) // 15
+    beginnings = [content[:offset] for offset in range(step // 2, len(content), step)]
+    codes = Counter[int]()
+    for number, damaged in enumerate([content, *beginnings, *flips(content, 15, seed=5), *smears(content, 10, seed=6)]):
+        recording.write_bytes(damaged)
+        output.unlink(missing_ok=True)
+        ran = command("replay", recording, output, *FAST)
+        assert not complaint_about(ran, output), f"case {number}: {complaint_about(ran, output)}"
+        if ran.code != 1:
+            result = json.loads(ran.out)
+            assert bool(result["losses"]) == (ran.code == 3), f"case {number}"
+            assert not result["inputs"][0]["integrity_verifiable"]
+            assert "integrity not verifiable" in command("info", recording).out
+        codes[ran.code] += 1
+        assert number > 0 or ran.code == 0
+    assert codes[1] > 3
+    assert codes[0] + codes[3] > 10
 
 
 def test_info_says_the_same(tmp_path: Path) -> None:
