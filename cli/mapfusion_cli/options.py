@@ -90,7 +90,13 @@ MaxMessagesOption = Annotated[
     ),
 ]
 MaxMergedCellsOption = Annotated[
-    int, typer.Option("--max-merged-cells", metavar="N", min=1, help="A merged map of more cells is not made.")
+    int,
+    typer.Option(
+        "--max-merged-cells",
+        metavar="N",
+        min=1,
+        help="Largest merged map; the farthest robots are left out of a larger one.",
+    ),
 ]
 MaxRobotsOption = Annotated[
     int, typer.Option("--max-robots", metavar="N", min=1, help="Most robots.", rich_help_panel=_LIMITS)

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import BinaryIO, Self
 
 from mapfusion.errors import LogWriteError
+from mapfusion_io.read_errors import printable
 
 logger = logging.getLogger(__name__)
 
@@ -117,7 +118,7 @@ def _remove_leftovers(target: Path) -> None:
             found = pattern.fullmatch(item.name)
             if found and item.is_file() and not item.is_symlink() and not _is_running(int(found[1])):
                 item.unlink()
-                logger.warning("%s: removed, left by a run that was killed", item)
+                logger.warning("%s: removed, left by a run that was killed", printable(str(item)))
 
 
 def _is_running(process_id: int) -> bool:

@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 from mapfusion.errors import LogReadError
 from mapfusion.steps import natural_key
 from mapfusion_io.interfaces import Attachment, Channel, Loss, RawMessage, Recording
-from mapfusion_io.read_errors import read_error, words
+from mapfusion_io.read_errors import printable, read_error, words
 from mapfusion_io.read_limits import ReadLimits
 
 logger = logging.getLogger(__name__)
@@ -175,7 +175,7 @@ def read_metadata(folder: Path) -> FolderMetadata | None:
         names = tuple(dict.fromkeys(PurePosixPath(_plain(name)).name for name in content["relative_file_paths"]))
         mode = _plain(content.get("compression_mode") or "").lower()
     except Exception as error:  # YAML errors are of many kinds
-        logger.warning("%s: %s cannot be used (%s)", folder.name, METADATA_NAME, words(error))
+        logger.warning("%s: %s cannot be used (%s)", printable(folder.name), METADATA_NAME, words(error))
         return None
     if not names:
         return None

@@ -325,7 +325,7 @@ def test_limits_are_the_callers(tmp_path: Path) -> None:
     assert [loss.kind for loss in recording.losses] == ["over limit", "definition lost"]
 
 
-def test_attachments_and_metadata(tmp_path: Path) -> None:
+def test_attachments_and_metadata(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "run.mcap"
     with path.open("wb") as file:
         writer: Any = Writer(file)
@@ -340,6 +340,10 @@ def test_attachments_and_metadata(tmp_path: Path) -> None:
     assert list(recording.metadata()) == [("mapfusion", {"version": "1"})]
     path.write_bytes(path.read_bytes().replace(b"image: map", b"image: mop"))
     assert [item.name for item in recording.attachments()] == ["map.pgm"]
+    assert caplog.messages == ["run.mcap: 1 damaged attachments were left out"]
+    path.write_bytes(HEADER + record(12, b"") * 1000 + END)
+    assert list(recording.metadata()) == []
+    assert caplog.messages[1:] == ["run.mcap: 1000 damaged metadata records were left out"]
 
 
 @pytest.mark.parametrize("options", LAYOUTS[:3])
