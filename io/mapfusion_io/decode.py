@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,8 +15,6 @@ from mapfusion_io.interfaces import Channel, RawMessage
 from mapfusion_io.read_errors import printable
 
 __all__ = ["Decoder", "MalformedMessageError"]
-
-logger = logging.getLogger(__name__)
 
 _DEFINITION_ENCODINGS = frozenset({"ros2msg", "ros2idl", "ros1msg"})
 _MESSAGE_ENCODINGS = frozenset({"cdr", "ros1"})
@@ -35,7 +32,15 @@ class Decoder:
     def __init__(self) -> None:
         self._types: dict[Channel, _Type | str] = {}
         self._definitions: set[tuple[str, str, bytes]] = set()
-        self._warned: set[tuple[str, str]] = set()
+        self._replaced: dict[tuple[str, str], str] = {}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Which definitions gave way to the usual ones so far, and why; one topic of each."""
+        return tuple(
+            f"{topic}: type {name}: {problem}; the usual one is taken"
+            for (name, problem), topic in self._replaced.items()
+        )
 
     def supported(self, channel: Channel) -> str | None:
         """Why messages of a channel cannot be decoded, in words; None where they can."""
@@ -93,9 +98,8 @@ class Decoder:
         store = default_store(channel.message_encoding)
         if channel.schema_name not in store.fielddefs:
             return f"type {name!r}: {problem}"
-        if channel.schema_data and (name, problem) not in self._warned:
-            self._warned.add((name, problem))
-            logger.warning("%s: type %s: %s; the usual one is taken", printable(channel.topic), name, problem)
+        if channel.schema_data:
+            self._replaced.setdefault((name, problem), printable(channel.topic))
         return _with_store(store, channel)
 
     def _store(self, channel: Channel) -> Typestore:

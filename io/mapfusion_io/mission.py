@@ -156,8 +156,9 @@ class Mission:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know before trusting the times, each with what to do."""
-        return (*apart_in_time(self.surveys, self.robots, self.shifts_ns), *clocks_apart(self.robots))
+        """What the user should know before trusting the messages and their times."""
+        read = [f"{survey.recording.path.name}: {warning}" for survey in self.surveys for warning in survey.warnings]
+        return (*read, *apart_in_time(self.surveys, self.robots, self.shifts_ns), *clocks_apart(self.robots))
 
     @property
     def are_apart_in_time(self) -> bool:

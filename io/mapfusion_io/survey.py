@@ -27,6 +27,7 @@ class Survey:
         topics: By topic, in the order of their first message.
         losses: What could not be read.
         is_own_output: Whether mapfusion wrote it.
+        warnings: What the user should know before trusting its messages.
     """
 
     recording: Recording
@@ -35,6 +36,7 @@ class Survey:
     topics: dict[str, TopicSurvey]
     losses: tuple[Loss, ...]
     is_own_output: bool
+    warnings: tuple[str, ...] = ()
 
     @property
     def clock_lag_ns(self) -> int:
@@ -65,7 +67,7 @@ def take_survey(recording: Recording, name: str, clock: Clock, limits: ReadLimit
         taker.take(raw)
     losses = recording.losses
     is_own = any(record == "mapfusion" for record, _ in recording.metadata())
-    return Survey(recording, name, _size_bytes(recording.path), taker.settled(), losses, is_own)
+    return Survey(recording, name, _size_bytes(recording.path), taker.settled(), losses, is_own, taker.warnings)
 
 
 def _size_bytes(path: Path) -> int:

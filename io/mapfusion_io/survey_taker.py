@@ -45,6 +45,11 @@ class SurveyTaker:
         self._edges: defaultdict[str, set[tuple[str, str]]] = defaultdict(set)
         self._num_taken = 0
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know before trusting the messages."""
+        return self._decoder.warnings
+
     def note_channel(self, channel: Channel) -> bool:
         """Makes a topic of a channel; of several channels on a topic the first one of use says what it is."""
         role = role_of(channel)

@@ -167,6 +167,17 @@ def test_bad_poses_of_a_topic_in_use(tmp_path: Path) -> None:
     assert results == expected
 
 
+def test_a_definition_that_cannot_be_used_is_said_once(tmp_path: Path) -> None:
+    recording, text = tmp_path / "run.mcap", b"float32 resolution\n"
+    plain = mcap_bytes(mission(), compression=CompressionType.NONE, enable_crcs=False)
+    assert text in plain
+    recording.write_bytes(plain.replace(text, b"= nonsense".ljust(len(text) - 1) + b"\n"))
+    ran = command("info", recording)
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.out.count("the usual one is taken") == 1
+    assert "warning: run.mcap: /a/map: type nav_msgs/msg/OccupancyGrid: its definition cannot be used" in ran.out
+
+
 def test_a_definition_that_is_not_that_of_its_name(tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     plain = mcap_bytes(mission(), compression=CompressionType.NONE, enable_crcs=False)
