@@ -3,7 +3,7 @@
 Run: python benchmarks/soak.py [--minutes 20]
 
 Prints the resident memory every minute. Ends with 1 where a replay ends otherwise than it may, or where the
-most memory of the last fifth of the time lies more than a tenth above that of the second fifth. Linux only.
+most memory of the last fifth of the time lies more than a twentieth above that of the second fifth. Linux only.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tests.reliability.missions import mission
 from tests.reliability.running import command, complaint_about
 from tests.reliability.sweeping import flips, smears
 
-GROWTH = 1.1
+GROWTH = 1.05
 
 
 def resident_mib() -> float:

@@ -14,6 +14,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
+from io import BytesIO
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,8 @@ from mcap.writer import CompressionType
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
+from mapfusion_io.mcap_records import MAGIC, records_from
+from mapfusion_io.read_limits import ReadLimits
 from mapfusion_io.sniff import open_one
 from tests.io.making import (
     Sent,
@@ -49,11 +53,19 @@ LAYOUTS: dict[str, dict[str, Any]] = {
 }
 
 
-def sweep_container(name: str, content: bytes, messages: list[Message], path: Path, size: int, signed: bool) -> int:
+def record_borders(content: bytes) -> list[int]:
+    """Where the records of an MCAP file start."""
+    file = BytesIO(content)
+    return [record.offset for record in records_from(file, len(MAGIC), len(content), ReadLimits(), frozenset())]
+
+
+def sweep_container(
+    name: str, content: bytes, messages: list[Message], path: Path, size: int, signed: bool, borders: Sequence[int] = ()
+) -> int:
     """Prints what came of every kind of damage and returns the number of failures."""
     failures = 0
     for kind, cases in (
-        ("cut", cuts(content, [], 1)),
+        ("cut", cuts(content, borders, 1)),
         ("bits", flips(content, size, 2)),
         ("blocks", smears(content, size // 4, 3)),
     ):
@@ -102,7 +114,10 @@ def main() -> int:
             messages = mission_messages(80)
             content = mcap_bytes(messages, **options)
             signed = options.get("enable_crcs", True)
-            failures += sweep_container(f"MCAP, {name}", content, list(messages), folder / "x.mcap", size, signed)
+            borders = record_borders(content)
+            failures += sweep_container(
+                f"MCAP, {name}", content, list(messages), folder / "x.mcap", size, signed, borders
+            )
         grids = [
             Sent(f"/robot{index % 2}/map", "nav_msgs/msg/OccupancyGrid", 10**9 * index, ros1_grid(small_cells(index)))
             for index in range(40)
@@ -116,7 +131,9 @@ def main() -> int:
         write_rosbag2(folder / "run", mission_messages(80), StoragePlugin.SQLITE3)
         database = next((folder / "run").glob("*.db3"))
         whole = delivered(open_one(database))
-        failures += sweep_container("db3", database.read_bytes(), whole, folder / "x.db3", size // 2, False)
+        content = database.read_bytes()
+        pages = range(0, len(content), 4096)
+        failures += sweep_container("db3", content, whole, folder / "x.db3", size // 2, False, pages)
         failures += sweep_command(size // 5, folder)
     return 1 if failures else 0
 

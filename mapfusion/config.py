@@ -39,6 +39,10 @@ class FusionConfig:
             raise ValueError(f"mae_threshold must lie in (0, 255] grey levels, not {self.mae_threshold}")
 
 
+FARTHEST_PRIOR_M = 1e8
+"""No place on earth is further from an origin on it."""
+
+
 @dataclass(frozen=True, slots=True)
 class Prior:
     """Known start of a robot.
@@ -54,6 +58,8 @@ class Prior:
     sigma_rad: float = 0.0
 
     def __post_init__(self) -> None:
+        if math.hypot(self.T_world_map.x_m, self.T_world_map.y_m) > FARTHEST_PRIOR_M:
+            raise ValueError(f"a prior's position must lie within {FARTHEST_PRIOR_M:g} m")
         sigmas = (self.sigma_m, self.sigma_rad)
         if not (all(math.isfinite(sigma) and sigma >= 0.0 for sigma in sigmas) and (min(sigmas) > 0.0) == any(sigmas)):
             raise ValueError(f"the sigmas of a prior must both be > 0, or both 0, not {sigmas}")

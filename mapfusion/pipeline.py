@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mapfusion.canvas import fitting
 from mapfusion.config import ReplayConfig
 from mapfusion.fusion import Map, PairFuser
 from mapfusion.grid import OccupancyGrid
@@ -51,7 +52,7 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
             contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]
             for pair in update.dropped:
                 joins.drop(pair)
-            merged, over_limit = maps.due(snapshot, placements)
+            merged, left_out = maps.due(snapshot, placements)
             yield FusionStep(
                 stamp_ns=snapshot.stamp_ns,
                 is_last=snapshot.is_last,
@@ -62,7 +63,7 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
                 changes=(*pair_changes, *contradicted, *update.changes),
                 paths=_paths(snapshot, placements) if snapshot.is_last else {},
                 map_frames={robot: event.map_frame for robot, event in snapshot.robots.items()},
-                over_limit=over_limit,
+                left_out=left_out,
             )
 
 
@@ -216,19 +217,23 @@ class _MergedMaps:
 
     def due(
         self, snapshot: Snapshot, placements: Mapping[str, Placement]
-    ) -> tuple[dict[int, OccupancyGrid], dict[int, str]]:
-        """The merged maps that are due by group number, and those of them that would be too large, in words."""
+    ) -> tuple[dict[int, OccupancyGrid], dict[int, tuple[str, ...]]]:
+        """The merged maps that are due by group number, and the robots that they would be too large with."""
         members: dict[int, list[str]] = {}
         for robot, placement in placements.items():
             members.setdefault(placement.group, []).append(robot)
-        merged, over_limit = {}, {}
+        merged, left_out = {}, {}
         for group, robots in sorted(members.items()):
             if self._is_due(group, robots, snapshot, placements):
+                self._merged[group] = (snapshot.stamp_ns, self._state(robots, snapshot, placements))
                 try:
-                    merged[group] = self._merge(group, robots, snapshot, placements)
-                except MergedMapTooLargeError as error:
-                    over_limit[group] = str(error)
-        return merged, over_limit
+                    merged[group] = self._merge(robots, snapshot, placements)
+                except MergedMapTooLargeError:
+                    near = self._near(robots, snapshot, placements)
+                    left_out[group] = tuple(robot for robot in robots if robot not in near)
+                    if near:
+                        merged[group] = self._merge(near, snapshot, placements)
+        return merged, left_out
 
     def _is_due(self, group: int, robots: list[str], snapshot: Snapshot, placements: Mapping[str, Placement]) -> bool:
         if group not in self._merged:
@@ -238,10 +243,14 @@ class _MergedMaps:
         waited = (snapshot.stamp_ns - stamp_ns) * 1e-9 >= self._config.map_interval_s
         return snapshot.is_last or (changed and waited)
 
-    def _merge(
-        self, group: int, robots: list[str], snapshot: Snapshot, placements: Mapping[str, Placement]
-    ) -> OccupancyGrid:
-        self._merged[group] = (snapshot.stamp_ns, self._state(robots, snapshot, placements))
+    def _near(self, robots: list[str], snapshot: Snapshot, placements: Mapping[str, Placement]) -> list[str]:
+        """The robots whose maps fit into one merged map."""
+        grids = [snapshot.grids[robot].grid for robot in robots]
+        T_group_maps = [placements[robot].T_group_map for robot in robots]
+        chosen = fitting(grids, T_group_maps, self._config.resolution_m, self._config.max_merged_cells)
+        return [robots[index] for index in chosen]
+
+    def _merge(self, robots: list[str], snapshot: Snapshot, placements: Mapping[str, Placement]) -> OccupancyGrid:
         return merge_grids(
             [snapshot.grids[robot].grid for robot in robots],
             [placements[robot].T_group_map for robot in robots],

@@ -122,7 +122,7 @@ class FusionStep:
         changes: Joins that began or ended and groups that formed, met or parted at this snapshot, in words.
         paths: By robot, in the last step only.
         map_frames: By robot, of all that take part.
-        over_limit: Merged maps that are due and too large to be made, in words by group number.
+        left_out: By group number, the robots that are not in the group's merged map since it would be too large.
     """
 
     stamp_ns: int
@@ -134,7 +134,7 @@ class FusionStep:
     changes: tuple[str, ...] = ()
     paths: Mapping[str, Path] = field(default_factory=dict)
     map_frames: Mapping[str, str] = field(default_factory=dict)
-    over_limit: Mapping[int, str] = field(default_factory=dict)
+    left_out: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:

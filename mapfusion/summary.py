@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 
 from mapfusion.result import PairFusion
@@ -90,7 +91,7 @@ class Summary:
         robots: By name.
         pairs: By the names of the two.
         changes: Joins that began or ended and groups that formed, met or parted, with their times.
-        over_limit: Merged maps that were due and too large, by group: how many, and how large the last one.
+        left_out: By group and robot, how many merged maps are without the robot, since they were too large with it.
     """
 
     num_snapshots: int = 0
@@ -99,7 +100,7 @@ class Summary:
     robots: dict[str, RobotSummary] = field(default_factory=dict)
     pairs: dict[tuple[str, str], PairSummary] = field(default_factory=dict)
     changes: list[tuple[int, str]] = field(default_factory=list)
-    over_limit: dict[int, tuple[int, str]] = field(default_factory=dict)
+    left_out: Counter[tuple[int, str]] = field(default_factory=Counter)
 
     def add(self, step: FusionStep) -> None:
         """Takes note of a step; steps come in the order of time."""
@@ -108,8 +109,7 @@ class Summary:
         self.num_snapshots += 1
         self.last_ns = step.stamp_ns
         self.changes.extend((step.stamp_ns, change) for change in step.changes)
-        for group, reason in step.over_limit.items():
-            self.over_limit[group] = (self.over_limit.get(group, (0, ""))[0] + 1, reason)
+        self.left_out.update((group, robot) for group, robots in step.left_out.items() for robot in robots)
         for robot in self.robots.keys() | step.placements.keys():
             self.robots[robot] = _robot(self.robots.get(robot, RobotSummary()), robot, step)
         for report in step.pairs:

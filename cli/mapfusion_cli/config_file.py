@@ -11,6 +11,7 @@ from pathlib import Path
 import typer
 
 from mapfusion.errors import ConfigError
+from mapfusion_cli.printing import show
 
 _NOT_IN_FILE = ("paths", "config", "print_config_")
 
@@ -37,11 +38,8 @@ def config_callback(ctx: typer.Context, path: Path | None) -> Path | None:
 
 def print_config(ctx: typer.Context) -> None:
     """Prints the options in effect as such a file."""
-    for parameter in ctx.command.params:
-        value = ctx.params.get(parameter.name or "")
-        if parameter.name in _NOT_IN_FILE or _is_unset(value):
-            continue
-        typer.echo(f"{_file_name(parameter.opts)} = {_toml(value)}")
+    values = options_in_effect(ctx, _NOT_IN_FILE)
+    show("\n".join(f"{name} = {_toml(value)}" for name, value in values.items()))
 
 
 def options_in_effect(ctx: typer.Context, left_out: tuple[str, ...]) -> dict[str, object]:
@@ -64,8 +62,6 @@ def _file_name(names: Sequence[str]) -> str:
 
 
 def _toml(value: object) -> str:
-    if isinstance(value, Enum):
-        value = value.value
     if isinstance(value, list | tuple):
         return f"[{', '.join(_toml(item) for item in value)}]"
     # Strings, numbers and booleans are written alike in JSON and TOML.

@@ -61,6 +61,7 @@ def evaluate(
     """
     from mapfusion.evaluation import Study, figures
     from mapfusion_cli.evaluation_report import evaluation_json, evaluation_text, write_charts
+    from mapfusion_cli.printing import show
 
     study = Study(
         generators=_GENERATORS[generator],
@@ -73,11 +74,11 @@ def evaluate(
     found = [figures(attempts, maps, who) for maps in study.generators for who in study.profiles]
     charts = [] if plots is None else write_charts(found, plots)
     if json:
-        typer.echo(evaluation_json(study, found))
+        show(evaluation_json(study, found))
     elif not quiet:
-        typer.echo(evaluation_text(found))
+        show(evaluation_text(found))
         if charts:
-            typer.echo(f"{len(charts)} charts in {plots}")
+            show(f"{len(charts)} charts in {plots}")
 
 
 def _attempts(study: Study, jobs: int, *, quiet: bool) -> list[Attempt]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mapfusion_cli.options import (
+    MAX_ALL_CELLS,
     MAX_CHUNK_MIB,
     MAX_MAP_CELLS,
     MAX_MESSAGES,
@@ -18,6 +19,7 @@ from mapfusion_cli.options import (
     Clock,
     ClockOption,
     DropOption,
+    MaxAllCellsOption,
     MaxChunkOption,
     MaxMapCellsOption,
     MaxMessagesOption,
@@ -42,6 +44,7 @@ def info(
     base_frame: BaseFrameOption = None,
     max_chunk: MaxChunkOption = MAX_CHUNK_MIB,
     max_map_cells: MaxMapCellsOption = MAX_MAP_CELLS,
+    max_all_cells: MaxAllCellsOption = MAX_ALL_CELLS,
     max_messages: MaxMessagesOption = MAX_MESSAGES,
     max_robots: MaxRobotsOption = MAX_ROBOTS,
     json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
@@ -67,6 +70,7 @@ def info(
         base_frame=base_frame,
         max_chunk=max_chunk,
         max_map_cells=max_map_cells,
+        max_all_cells=max_all_cells,
         max_messages=max_messages,
         max_robots=max_robots,
     )

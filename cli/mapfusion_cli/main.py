@@ -7,7 +7,7 @@ import os
 import signal
 from collections.abc import Iterator, Sequence
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -23,8 +23,10 @@ FAILED, USAGE = 1, 2
 DEBUG_VARIABLE = "MAPFUSION_DEBUG"
 """Set in the environment, an error of the program itself shows its traceback."""
 
+_USAGE_ERRORS: tuple[type[BaseException], ...] = typer.BadParameter.__bases__
+"""The library's errors about arguments, whose common class it does not export."""
+
 app = typer.Typer(
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Fuses the recorded occupancy grids of several robots into one map, and says how far to trust it.",
@@ -37,7 +39,9 @@ app.command()(evaluate)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"mapfusion {__version__}")
+        from mapfusion_cli.printing import show
+
+        show(f"mapfusion {__version__}")
         raise typer.Exit
 
 
@@ -58,24 +62,42 @@ def run(arguments: Sequence[str] | None = None) -> None:
     """
     try:
         with _terminated_like_interrupted():
-            app(args=None if arguments is None else list(arguments), prog_name="mapfusion")
+            code = app(
+                args=None if arguments is None else list(arguments), prog_name="mapfusion", standalone_mode=False
+            )
+    except _USAGE_ERRORS as error:
+        _fail(_usage_words(error), USAGE)
     except ConfigError as error:
         _fail(str(error), USAGE)
     except MapfusionError as error:
         _fail(str(error), FAILED)
+    except KeyboardInterrupt:  # while the library puts the command together; later it says the same itself
+        raise SystemExit(128 + signal.SIGINT) from None
     except MemoryError:
         _fail("out of memory", FAILED)
+    except OSError as error:  # the library prints the help, and nothing else leaves as one
+        from mapfusion_cli.printing import silence_stdout
+
+        silence_stdout()
+        _fail(f"cannot be printed: {error.strerror or error}", FAILED)
     except Exception as error:
         if os.environ.get(DEBUG_VARIABLE):
             raise
         _fail(f"an error of mapfusion itself: {error!r}\nPlease report it, with what {DEBUG_VARIABLE}=1 shows.", FAILED)
+    raise SystemExit(code or 0)
 
 
-def _fail(words: str, code: int) -> None:
-    from mapfusion_cli.printing import two_lines
+def _usage_words(error: BaseException) -> str:
+    """What is wrong with the arguments, and where to look."""
+    command = getattr(getattr(error, "ctx", None), "command_path", "mapfusion")
+    words = error.format_message() if hasattr(error, "format_message") else str(error)
+    return f"{' '.join(words.split())}\n`{command} --help` lists what there is."
 
-    with contextlib.suppress(OSError):  # nobody reads it
-        typer.echo(two_lines(f"mapfusion: {words}"), err=True)
+
+def _fail(words: str, code: int) -> NoReturn:
+    from mapfusion_cli.printing import complain, two_lines
+
+    complain(two_lines(f"mapfusion: {words}"))
     raise SystemExit(code)
 
 

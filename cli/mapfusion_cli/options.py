@@ -69,6 +69,16 @@ MaxChunkOption = Annotated[
 MaxMapCellsOption = Annotated[
     int, typer.Option("--max-map-cells", metavar="N", min=1, help="Largest map.", rich_help_panel=_LIMITS)
 ]
+MaxAllCellsOption = Annotated[
+    int,
+    typer.Option(
+        "--max-all-cells",
+        metavar="N",
+        min=1,
+        help="Most cells of all robots' maps together, of each its largest; further robots are left out.",
+        rich_help_panel=_LIMITS,
+    ),
+]
 MaxMessagesOption = Annotated[
     int,
     typer.Option(
@@ -80,12 +90,18 @@ MaxMessagesOption = Annotated[
     ),
 ]
 MaxMergedCellsOption = Annotated[
-    int, typer.Option("--max-merged-cells", metavar="N", min=1, help="A merged map of more cells is not made.")
+    int,
+    typer.Option(
+        "--max-merged-cells",
+        metavar="N",
+        min=1,
+        help="Largest merged map; the farthest robots are left out of a larger one.",
+    ),
 ]
 MaxRobotsOption = Annotated[
     int, typer.Option("--max-robots", metavar="N", min=1, help="Most robots.", rich_help_panel=_LIMITS)
 ]
-MAX_CHUNK_MIB, MAX_MAP_CELLS, MAX_MESSAGES, MAX_ROBOTS = 256, 32 * 2**20, 10_000_000, 100
+MAX_CHUNK_MIB, MAX_MAP_CELLS, MAX_ALL_CELLS, MAX_MESSAGES, MAX_ROBOTS = 256, 32 * 2**20, 128 * 2**20, 10_000_000, 100
 """The defaults of `mapfusion_io.read_limits.ReadLimits`, which takes too long to import for `--help`."""
 StartOption = Annotated[
     str | None,
@@ -105,6 +121,7 @@ def mission_options(
     base_frame: Sequence[str] | None,
     max_chunk: int,
     max_map_cells: int,
+    max_all_cells: int,
     max_messages: int,
     max_robots: int,
     start: str | None = None,
@@ -129,7 +146,11 @@ def mission_options(
         base_frames=named_values("--base-frame", base_frame),
         time_range=TimeRange(start, end, duration),
         limits=ReadLimits(
-            record_bytes=max_chunk * 2**20, map_cells=max_map_cells, messages=max_messages, robots=max_robots
+            record_bytes=max_chunk * 2**20,
+            map_cells=max_map_cells,
+            all_cells=max_all_cells,
+            messages=max_messages,
+            robots=max_robots,
         ),
     )
 
@@ -191,7 +212,12 @@ def existing(paths: Sequence[Path]) -> None:
     LogReadError: An input is not there.
     """
     from mapfusion.errors import LogReadError
+    from mapfusion_io.read_errors import os_error
 
     for path in paths:
-        if not path.exists():
+        try:
+            is_there = path.exists()
+        except OSError as error:  # a name that is too long, a folder that may not be entered
+            raise os_error(path, error) from error
+        if not is_there:
             raise LogReadError(f"{path}: there is no such file or folder")

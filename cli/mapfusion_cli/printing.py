@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import sys
-
-import typer
 
 from mapfusion_io.read_errors import printable
 
@@ -31,17 +30,28 @@ def show(text: str) -> None:
 
     Characters that the terminal does not have are written as escapes.
     """
+    if sys.stdout is None:  # closed before the start
+        return
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     try:
-        typer.echo(text.encode(encoding, "backslashreplace").decode(encoding))
+        # not through typer.echo, which keeps every stream that it ever wrote to
+        sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
         sys.stdout.flush()
     except OSError as error:
-        _silence_stdout()
+        silence_stdout()
         if error.errno != errno.EPIPE:
-            typer.echo(f"mapfusion: the result cannot be printed: {error.strerror or error}", err=True)
+            complain(f"mapfusion: the result cannot be printed: {error.strerror or error}")
 
 
-def _silence_stdout() -> None:
+def complain(text: str) -> None:
+    """Prints an error on stderr, where there is one and it takes it."""
+    with contextlib.suppress(OSError):
+        if sys.stderr is not None:
+            sys.stderr.write(text + "\n")
+            sys.stderr.flush()
+
+
+def silence_stdout() -> None:
     """Keeps the interpreter from failing once more when it flushes stdout at its end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())

@@ -21,7 +21,7 @@ class StageProgress:
             TimeRemainingColumn(),
             console=Console(stderr=True),
             transient=True,
-            disable=quiet or not sys.stderr.isatty(),
+            disable=quiet or sys.stderr is None or not sys.stderr.isatty(),
         )
         self._task: TaskID | None = None
         self._first_ns = 0

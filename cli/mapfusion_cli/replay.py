@@ -11,6 +11,7 @@ import typer
 
 from mapfusion_cli.config_file import config_callback, options_in_effect, print_config
 from mapfusion_cli.options import (
+    MAX_ALL_CELLS,
     MAX_CHUNK_MIB,
     MAX_MAP_CELLS,
     MAX_MESSAGES,
@@ -22,6 +23,7 @@ from mapfusion_cli.options import (
     DropOption,
     DurationOption,
     EndOption,
+    MaxAllCellsOption,
     MaxChunkOption,
     MaxMapCellsOption,
     MaxMergedCellsOption,
@@ -113,6 +115,7 @@ def replay(
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of everything random.")] = 0,
     max_chunk: MaxChunkOption = MAX_CHUNK_MIB,
     max_map_cells: MaxMapCellsOption = MAX_MAP_CELLS,
+    max_all_cells: MaxAllCellsOption = MAX_ALL_CELLS,
     max_messages: MaxMessagesOption = MAX_MESSAGES,
     max_robots: MaxRobotsOption = MAX_ROBOTS,
     max_merged_cells: MaxMergedCellsOption = 25_000_000,
@@ -155,6 +158,7 @@ def replay(
             base_frame=base_frame,
             max_chunk=max_chunk,
             max_map_cells=max_map_cells,
+            max_all_cells=max_all_cells,
             max_messages=max_messages,
             max_robots=max_robots,
             start=start,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Mapping
@@ -122,7 +123,7 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
                     output.write(replace(step, pairs=tuple(pair.latest for pair in summary.pairs_in_order)))
                 progress.reached(step.stamp_ns)
             output.copy_rest()
-            losses = (*mission.losses, *_too_large(summary))
+            losses = (*mission.losses, *_left_out_of_maps(summary, config.max_merged_cells))
             if job.strict and losses:
                 loss = losses[0]
                 raise LogReadError(f"{loss.source}: {loss.kind} at {loss.where} (--strict): {loss.detail}")
@@ -132,10 +133,11 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
     return Done(mission, summary, losses, document, _left_out(inputs), elapsed_s, job.output)
 
 
-def _too_large(summary: Summary) -> list[Loss]:
+def _left_out_of_maps(summary: Summary, max_cells: int) -> list[Loss]:
+    detail = "{} lies too far away, or is too large, for a merged map of {} cells with the others"
     return [
-        Loss("output", "over limit", f"group {group}", count=count, detail=reason)
-        for group, (count, reason) in sorted(summary.over_limit.items())
+        Loss("output", "over limit", f"group {group}", count=count, detail=detail.format(robot, max_cells))
+        for (group, robot), count in sorted(summary.left_out.items())
     ]
 
 
@@ -180,12 +182,12 @@ def _in_options(words: str) -> str:
 def _refuse_output_that_is_input(job: ReplayJob) -> None:
     if str(job.output) == "-":
         raise ConfigError("-: the output must be a file; it is completed before it gets its name")
-    inputs = [path.resolve() for path in job.inputs]
+    inputs = [Path(os.path.realpath(path)) for path in job.inputs]  # Path.resolve fails on links in a circle
     if len(set(inputs)) < len(inputs):
         raise ConfigError("an input is given twice")
-    target = job.output.resolve()
-    for path in job.inputs:
-        if target == path.resolve() or path.resolve() in target.parents:
+    target = Path(os.path.realpath(job.output))
+    for path in inputs:
+        if target == path or path in target.parents:
             raise ConfigError(f"{job.output}: the output is an input. The last argument is the file to write.")
 
 

@@ -93,6 +93,7 @@ def simulate(
     from mapfusion.simulation.mission import simulate_mission
     from mapfusion.simulation.mission_config import MissionConfig
     from mapfusion.simulation.paper_mission import simulate_paper_mission
+    from mapfusion_cli.printing import show
     from mapfusion_io.mission_writer import write_mission
 
     resolutions_m = _resolutions_m(resolution)
@@ -135,12 +136,12 @@ def simulate(
             "poses": written.num_poses,
             "final_overlap": written.final_overlap,
         }
-        typer.echo(json.dumps(report, indent=2))
+        show(json.dumps(report, indent=2))
     elif not quiet:
-        typer.echo(f"{written.recording}: {robots} robots, {written.num_maps} maps, {written.num_poses} poses")
-        typer.echo(f"{written.truth}: overlap of the last maps")
+        show(f"{written.recording}: {robots} robots, {written.num_maps} maps, {written.num_poses} poses")
+        show(f"{written.truth}: overlap of the last maps")
         for pair, ratio in written.final_overlap.items():
-            typer.echo(f"  {pair}  {ratio:.0%}")
+            show(f"  {pair}  {ratio:.0%}")
 
 
 def _resolutions_m(text: str) -> tuple[float, ...]:

@@ -7,11 +7,13 @@ import contextlib
 import logging
 import os
 import re
+import secrets
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
 from mapfusion.errors import LogWriteError
+from mapfusion_io.read_errors import printable
 
 logger = logging.getLogger(__name__)
 
@@ -19,11 +21,11 @@ logger = logging.getLogger(__name__)
 class AtomicFile:
     """A binary file that is written under another name and renamed when it is complete.
 
-    It grows as `.NAME.mapfusion-PID.partial` beside its final name, so that the rename stays on one file system.
+    It grows as `.NAME.mapfusion-PID-RANDOM.partial` beside its final name, so that the rename stays on one file system.
     Leaving the `with` block commits it; leaving by an exception, KeyboardInterrupt included, discards it, and so does
     the end of the interpreter. What only a killed process or a power cut leaves behind is told by its name: the next
-    file of this name removes it, unless a process of that number runs. A symbolic link is followed: the file it names
-    is replaced, not the link.
+    file of this name removes it, unless another process of that number runs. A symbolic link is followed: the file it
+    names is replaced, not the link.
 
     Args:
         path: The final name.
@@ -37,7 +39,9 @@ class AtomicFile:
     def __init__(self, path: Path, *, force: bool = False) -> None:
         self._name = path
         self._target = Path(os.path.realpath(path))
-        self._partial = self._target.with_name(f".{self._target.name}.mapfusion-{os.getpid()}.partial")
+        # processes in different containers may have one number, and must not write into one file
+        unique = f"{os.getpid()}-{secrets.token_hex(4)}"
+        self._partial = self._target.with_name(f".{self._target.name}.mapfusion-{unique}.partial")
         self._force = force
         self._stream: BinaryIO | None = None
         refuse_target(self._name, force=self._force)
@@ -47,7 +51,7 @@ class AtomicFile:
         # a signal may strike between the opening and the `with` block
         atexit.register(self._remove_partial)
         try:
-            self._stream = self._partial.open("wb")
+            self._stream = self._partial.open("xb")
         except OSError as error:
             raise _failure(self._name, error) from error
         return self
@@ -108,17 +112,19 @@ class AtomicFile:
 
 def _remove_leftovers(target: Path) -> None:
     """Removes what processes that were killed left of a file of this name."""
-    pattern = re.compile(re.escape(f".{target.name}.mapfusion-") + r"([0-9]{1,10})\.partial")
+    pattern = re.compile(re.escape(f".{target.name}.mapfusion-") + r"([0-9]{1,10})-[0-9a-f]{8}\.partial")
     with contextlib.suppress(OSError):
         for item in target.parent.iterdir():
             found = pattern.fullmatch(item.name)
             if found and item.is_file() and not item.is_symlink() and not _is_running(int(found[1])):
                 item.unlink()
-                logger.warning("%s: removed, left by a run that was killed", item)
+                logger.warning("%s: removed, left by a run that was killed", printable(str(item)))
 
 
 def _is_running(process_id: int) -> bool:
-    """Whether there is such a process; True where the system cannot tell without harm."""
+    """Whether there is such a process, and another one; True where the system cannot tell without harm."""
+    if process_id == os.getpid():  # after a restart of a container its processes have the numbers of those before
+        return False
     if os.name != "posix":
         return True
     try:

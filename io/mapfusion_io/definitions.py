@@ -18,6 +18,8 @@ MAX_DEFINITION_BYTES = 2**20
 MAX_FIXED_ELEMENTS = 4096
 """Longest array of fixed length whose elements are not plain numbers: rosbags writes a line of source for each."""
 MAX_DEPTH = 32
+MAX_DEFINITIONS = 64
+"""Most different definitions of a recording that are parsed: each takes some ten milliseconds and 200 kB."""
 
 _SECTION = "=" * 80 + "\n"
 _TYPE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)+", re.ASCII)
@@ -37,7 +39,7 @@ class DefinitionError(ValueError):
     """A definition that cannot be used, in words."""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=MAX_DEFINITIONS)
 def store_from(schema_name: str, schema_encoding: str, schema_data: bytes) -> Typestore:
     """A store with one definition and the types in it; not to be changed, since equal definitions share it.
 

@@ -14,7 +14,9 @@ from mapfusion_io.poses import PoseChoice
 from mapfusion_io.read_errors import read_error
 from mapfusion_io.read_limits import ReadLimits
 from mapfusion_io.robots import MapTopic
-from mapfusion_io.survey import Survey, TopicSurvey, map_message
+from mapfusion_io.survey import Survey
+from mapfusion_io.survey_taker import map_message
+from mapfusion_io.topic_survey import TopicSurvey
 
 GridMessage = OccupancyGrid | GridUpdate
 

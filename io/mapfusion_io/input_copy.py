@@ -21,6 +21,8 @@ from mapfusion_io.topic_names import TF_STATIC_TOPIC, TF_TOPIC, is_result_topic
 from mapfusion_io.topic_writer import LATCHED, LATCHED_STATICS, STREAMED, OutgoingMessage
 
 _MAX_QOS_CHARACTERS = 65_536
+MAX_DEFINITIONS = 500
+"""Most different definitions that are copied: each takes some ten milliseconds and 200 kB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +88,7 @@ class InputCopy:
         self._left_out: Counter[tuple[str, str, str, str]] = Counter()
         self._topic_types = {TF_TOPIC: encode.TF_MESSAGE, TF_STATIC_TOPIC: encode.TF_MESSAGE}
         self._fields: dict[str, Fielddefs] = {}
+        self._definitions: set[tuple[str, bytes]] = set()
         encoder = encode.Encoder()
         for name in encode.TYPES:
             kind = encoder.message_type(name)
@@ -123,6 +126,9 @@ class InputCopy:
 
     def _route_or_reason(self, source: CopySource, channel: Channel) -> _Route | str:
         """Where a channel goes, or why it stays out."""
+        self._definitions.add((channel.schema_name, channel.schema_data))
+        if len(self._definitions) > MAX_DEFINITIONS:
+            return f"the recordings hold more than {MAX_DEFINITIONS} definitions"
         try:
             form = ros2_form(channel)
         except NoRos2FormError as reason:

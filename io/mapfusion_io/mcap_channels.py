@@ -96,6 +96,11 @@ class ChannelTable:
             self.add_channel(self._summary.channels[channel_id])
         return self._defined.get(channel_id)
 
+    @property
+    def are_all_wanted(self) -> bool:
+        """Whether no channel that was defined so far is unwanted."""
+        return all(self._asked.values())
+
     def find_rest(self) -> None:
         """Asks about the channels that only the summary defines."""
         for channel_id in sorted(self._summary.channels):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -44,6 +45,8 @@ class McapPass:
         self._counted: Counter[int] = Counter()
         self._orphans: Counter[int] = Counter()
         self._num_unsigned = 0
+        self._num_inner = 0
+        self._named: set[int] = set()
         self.losses: list[Loss] = []
         self.num_records = 0
         self.verified = True
@@ -74,6 +77,7 @@ class McapPass:
     def _records(self, file: BinaryIO, size: int) -> Iterator[Record]:
         """Every record that can be found: behind damage the walk goes on at the next chunk that the summary knows."""
         offset, data_ended = len(MAGIC), False
+        starts = list(self._summary.chunk_ends)
         while True:
             try:
                 for record in records_from(file, offset, size, self._limits, MESSAGE_RECORDS):
@@ -92,7 +96,9 @@ class McapPass:
             except DamagedError as error:
                 if data_ended:
                     return  # only the index behind the data is damaged or cut off
-                resume = next((start for start in self._summary.chunk_offsets if start > offset), None)
+                self._named.add(offset)
+                later = bisect_right(starts, offset)
+                resume = starts[later] if later < len(starts) else None
                 if resume is None and not self.num_records:
                     raise read_error(
                         self._path, f"is no whole MCAP file: {error.detail}", "It was cut off or overwritten."
@@ -106,9 +112,13 @@ class McapPass:
 
     def _chunk(self, file: BinaryIO, record: Record) -> Iterator[RawMessage]:
         where = f"chunk at byte {record.offset}"
+        self._named.add(record.offset)
         try:
             if record.length > self._limits.record_bytes:
                 raise DamagedError("over limit", self._over_bytes(record))
+            if self._num_inner > self._limits.chunked_records:
+                detail = f"the chunks before it hold more than {self._limits.chunked_records} records"
+                raise DamagedError("over limit", detail)
             data, signed = chunk_contents(record.body, self._limits)
         except DamagedError as error:
             self._lose_chunk(indexed_counts(file, record.end), where, error)
@@ -117,6 +127,7 @@ class McapPass:
         num_before = counted.total()
         try:
             for opcode, start, end in framed(data, self._limits.idle_records):
+                self._num_inner += 1
                 if opcode == _MESSAGE:
                     if end - start < MESSAGE_HEAD.size:
                         self.lose("malformed record", where, detail="a message without its head")
@@ -185,6 +196,10 @@ class McapPass:
         if self._channels.num_refused:
             detail = f"{self._channels.num_refused} definitions of topics or types are too many or too large"
             self.lose("over limit", "whole file", detail=detail)
+        for start, end in self._summary.chunk_ends.items():
+            if start not in self._named:
+                error = DamagedError("missing chunk", "there is none where the file's own index has one")
+                self._lose_chunk(indexed_counts(file, end), f"chunk at byte {start}", error)
         counts = self._summary.message_counts
         for channel_id, count in sorted(self._orphans.items()):
             if (
@@ -194,6 +209,10 @@ class McapPass:
                 self.lose("definition lost", f"channel {channel_id}", "", count, detail)
         for channel_id, expected in sorted((counts or {}).items()):
             self._compare(channel_id, expected)
+        num_expected, num_found = self._summary.num_messages, self._counted.total() + self._orphans.total()
+        if counts is None and num_expected is not None and num_found < num_expected and self._channels.are_all_wanted:
+            detail = f"the file's own statistics count {num_expected}"
+            self.lose("missing messages", "whole file", count=num_expected - num_found, detail=detail)
         if self._num_unsigned:
             self._check_unsigned(file)
 

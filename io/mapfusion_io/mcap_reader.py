@@ -15,7 +15,7 @@ from mapfusion_io.interfaces import Attachment, Loss, RawMessage
 from mapfusion_io.mcap_channels import ChannelObjects, ChannelTable, Keep
 from mapfusion_io.mcap_pass import McapPass
 from mapfusion_io.mcap_records import MAGIC, DamagedError, Record, parse, records_from
-from mapfusion_io.read_errors import os_error
+from mapfusion_io.read_errors import os_error, printable
 from mapfusion_io.read_limits import ReadLimits
 
 logger = logging.getLogger(__name__)
@@ -69,27 +69,35 @@ class McapRecording:
             latest.lose("read error", "after the last record read", detail=str(error))
 
     def attachments(self) -> Iterator[Attachment]:
-        """The files inside, in file order; a damaged one is left out with a warning in the log."""
+        """The files inside, in file order; damaged ones are left out with a warning in the log."""
+        num_damaged = 0
         for record in self._bodies(Opcode.ATTACHMENT):
             stored_crc = int.from_bytes(record.body[-4:], "little")
             try:
                 if stored_crc and zlib.crc32(record.body[:-4]) != stored_crc:
                     raise DamagedError("attachment crc", "its checksum does not match")
                 found = parse(AttachmentRecord.read, record.body)
-            except DamagedError as error:
-                logger.warning("%s: attachment at byte %d: %s", self._path.name, record.offset, error.detail)
+            except DamagedError:
+                num_damaged += 1
                 continue
             yield Attachment(found.name, found.media_type, found.log_time, found.create_time, found.data)
+        self._warn_of_damaged(num_damaged, "attachments")
 
     def metadata(self) -> Iterator[tuple[str, Mapping[str, str]]]:
-        """The metadata records, in file order; a damaged one is left out with a warning in the log."""
+        """The metadata records, in file order; damaged ones are left out with a warning in the log."""
+        num_damaged = 0
         for record in self._bodies(Opcode.METADATA):
             try:
                 found = parse(MetadataRecord.read, record.body)
-            except DamagedError as error:
-                logger.warning("%s: metadata at byte %d: %s", self._path.name, record.offset, error.detail)
+            except DamagedError:
+                num_damaged += 1
                 continue
             yield found.name, found.metadata
+        self._warn_of_damaged(num_damaged, "metadata records")
+
+    def _warn_of_damaged(self, count: int, what: str) -> None:
+        if count:
+            logger.warning("%s: %d damaged %s were left out", printable(self._path.name), count, what)
 
     def _bodies(self, opcode: Opcode) -> Iterator[Record]:
         try:

@@ -161,7 +161,7 @@ def indexed_counts(file: BinaryIO, offset: int) -> dict[int, int]:
     counts: dict[int, int] = {}
     head = struct.Struct("<BQHI")
     while True:
-        file.seek(offset)
+        file.seek(min(offset, 2**62))  # a chunk's length may be anything
         found = file.read(head.size)
         if len(found) < head.size:
             return counts

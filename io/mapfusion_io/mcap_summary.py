@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import BinaryIO
 
 from mcap.opcode import Opcode
@@ -20,8 +21,9 @@ class Summary:
     Attributes:
         schemas: By id.
         channels: By id.
-        chunk_offsets: Where the chunks start, ascending.
-        message_counts: Number of messages by channel id, None where it holds no statistics.
+        chunk_ends: Where each chunk ends, by where it starts, ascending.
+        message_counts: Number of messages by channel id, None where it holds no statistics, or such that do not add up.
+        num_messages: Number of all messages, None where it holds no statistics.
         data_crc: CRC of everything before the DataEnd record, 0 where there is none.
         data_end: Offset of the DataEnd record, 0 where it is not known.
         is_whole: Whether the end of the file is as it was written; where it is not, nothing tells what is missing.
@@ -29,8 +31,9 @@ class Summary:
 
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
-    chunk_offsets: tuple[int, ...] = ()
+    chunk_ends: Mapping[int, int] = field(default_factory=dict)
     message_counts: dict[int, int] | None = None
+    num_messages: int | None = None
     data_crc: int = 0
     data_end: int = 0
     is_whole: bool = False
@@ -71,8 +74,8 @@ def read_summary(file: BinaryIO, size: int, limits: ReadLimits) -> Summary:
 def _parsed_summary(section: bytes, found: Summary) -> Summary:
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    chunk_offsets: list[int] = []
-    message_counts: dict[int, int] | None = None
+    chunk_ends: dict[int, int] = {}
+    statistics: Statistics | None = None
     for opcode, start, end in framed(section, max_idle=len(section)):
         body = section[start:end]
         if opcode == Opcode.SCHEMA:
@@ -82,9 +85,19 @@ def _parsed_summary(section: bytes, found: Summary) -> Summary:
             channel = parse(Channel.read, body)
             channels[channel.id] = channel
         elif opcode == Opcode.CHUNK_INDEX:
-            chunk_offsets.append(parse(ChunkIndex.read, body).chunk_start_offset)
+            index = parse(ChunkIndex.read, body)
+            chunk_ends[index.chunk_start_offset] = index.chunk_start_offset + index.chunk_length
         elif opcode == Opcode.STATISTICS:
-            message_counts = parse(Statistics.read, body).channel_message_counts
+            statistics = parse(Statistics.read, body)
+    counts = statistics.channel_message_counts if statistics is not None else None
+    num_messages = statistics.message_count if statistics is not None else None
     return Summary(
-        schemas, channels, tuple(sorted(chunk_offsets)), message_counts, found.data_crc, found.data_end, is_whole=True
+        schemas,
+        channels,
+        dict(sorted(chunk_ends.items())),
+        counts if counts is not None and sum(counts.values()) == num_messages else None,
+        num_messages,
+        found.data_crc,
+        found.data_end,
+        is_whole=True,
     )

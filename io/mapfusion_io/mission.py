@@ -6,27 +6,34 @@ import heapq
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from mapfusion.errors import ConfigError, MissionError
+from mapfusion.errors import MissionError
 from mapfusion.grid import OccupancyGrid
-from mapfusion.steps import Event, GridEvent, PoseSource, RobotEvent, StampArray, natural_key
-from mapfusion.timeline import SILENCE_NS
-from mapfusion.transform import FloatArray
+from mapfusion.steps import Event, GridEvent, RobotEvent, natural_key
 from mapfusion_io.grid_stream import MissionRobot, stamped_grid_messages, whole_grid
 from mapfusion_io.interfaces import Loss
 from mapfusion_io.messages import GRID_TYPES
+from mapfusion_io.mission_times import (
+    ClippedPoses,
+    apart_in_time,
+    clocks_apart,
+    mission_stamps,
+    recording_shifts_ns,
+    reported_ns,
+    resolved_range,
+)
+from mapfusion_io.mission_topics import losses_that_count, unused_topics, used_topics
 from mapfusion_io.poses import PoseOverrides, choose_poses, transform_tree
 from mapfusion_io.read_errors import printable
 from mapfusion_io.read_limits import ReadLimits
-from mapfusion_io.robots import FoundRobots, MapTopic, PassedOver, RobotOverrides, find_robots
+from mapfusion_io.robots import MapTopic, RobotOverrides, find_robots
 from mapfusion_io.sniff import open_one
-from mapfusion_io.survey import SAME_CLOCK_NS, Clock, Survey, TopicSurvey, take_survey
+from mapfusion_io.survey import Survey, take_survey
+from mapfusion_io.survey_taker import Clock
 from mapfusion_io.time_range import TimeRange
+from mapfusion_io.topic_survey import TopicSurvey
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,20 +82,20 @@ class Mission:
     def __init__(self, surveys: Sequence[Survey], options: MissionOptions) -> None:
         self.surveys = tuple(surveys)
         self.limits = options.limits
-        found = find_robots(surveys, RobotOverrides(options.robots, options.drop), options.limits.robots)
+        found = find_robots(surveys, RobotOverrides(options.robots, options.drop), options.limits)
         self._over_limit = found.over_limit
         self.unique_frames = found.unique_frames
-        self.shifts_ns = _shifts_ns(surveys, options.align_start)
+        self.shifts_ns = recording_shifts_ns(surveys, options.align_start)
         tree = transform_tree(found.unique_frames, surveys, self.shifts_ns)
         poses = choose_poses(found, tree, PoseOverrides(options.poses, options.base_frames))
         self.robots = tuple(MissionRobot(robot, poses[robot.robot], _updates(robot)) for robot in found.robots)
-        self.passed_over = (*found.passed_over, *_unused_topics(surveys, found, self._used_topics))
+        self.passed_over = (*found.passed_over, *unused_topics(surveys, found, used_topics(self.robots)))
         map_frames = {robot.map_frame for robot in found.robots}
         self.frames = map_frames | {frame for frame in tree.frames if not frame.startswith("/")}
         self._bad_grids: Counter[tuple[str, str, str, str]] = Counter()
-        stamps = self._stamps()
-        self.first_ns, self.last_ns, self.start_ns, self.end_ns = _time_range(options.time_range, stamps)
-        self.reported_ns = _reported_ns(stamps, self.start_ns, self.end_ns)
+        stamps = mission_stamps(self.robots, self.shifts_ns)
+        self.first_ns, self.last_ns, self.start_ns, self.end_ns = resolved_range(options.time_range, stamps)
+        self.reported_ns = reported_ns(stamps, self.start_ns, self.end_ns)
 
     def require_robots(self) -> None:
         """Raises:
@@ -97,10 +104,12 @@ class Mission:
         if len(self.robots) >= 2:
             return
         files = ", ".join(survey.recording.path.name for survey in self.surveys)
+        losses = self.losses
+        lost = f"What was there is lost in part ({losses[0].kind} at {printable(losses[0].where)}). " if losses else ""
         if self.robots:
             raise MissionError(
                 f"{files}: only one robot with a map ({self.robots[0].name}), a fusion needs two.\n"
-                "Give the other robots' recordings as well, or name its map topic with --robot NAME=TOPIC; "
+                f"{lost}Give the other robots' recordings as well, or name its map topic with --robot NAME=TOPIC; "
                 "`mapfusion info` lists what was passed over."
             )
         maps = [item for item in self.passed_over if item.schema_name in GRID_TYPES]
@@ -111,7 +120,7 @@ class Mission:
         there = ", ".join(listed[:4]) + (f" and {len(listed) - 4} more" if len(listed) > 4 else "")
         raise MissionError(
             f"{files}: no robot's map in it (nav_msgs/OccupancyGrid), only {there or 'nothing'}.\n"
-            "Record each robot's map topic; `mapfusion info` lists what is there."
+            f"{lost}Record each robot's map topic; `mapfusion info` lists what is there."
         )
 
     def events(self) -> Iterator[Event]:
@@ -138,14 +147,7 @@ class Mission:
     @property
     def losses(self) -> tuple[Loss, ...]:
         """What could not be read or believed of the topics in use; complete when `events` has ended."""
-        used = self._used_topics
-        losses: list[Loss] = []
-        for survey in self.surveys:
-            source = survey.recording.path.name
-            losses.extend(loss for loss in survey.losses if not loss.topic or (survey.name, loss.topic) in used)
-            for topic in survey.topics.values():
-                if (survey.name, topic.topic) in used:
-                    losses.extend(_refused(source, topic))
+        losses = losses_that_count(self.surveys, self.robots, used_topics(self.robots))
         for (source, kind, topic_name, reason), count in sorted(self._bad_grids.items()):
             losses.append(Loss(source, kind, topic_name, topic_name, count, reason))
         for item in self._over_limit:
@@ -154,20 +156,14 @@ class Mission:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know before trusting the times, each with what to do."""
-        return (*_apart_in_time(self.surveys, self.robots, self.shifts_ns), *_clocks_apart(self.robots))
+        """What the user should know before trusting the messages and their times."""
+        read = [f"{survey.recording.path.name}: {warning}" for survey in self.surveys for warning in survey.warnings]
+        return (*read, *apart_in_time(self.surveys, self.robots, self.shifts_ns), *clocks_apart(self.robots))
 
     @property
     def are_apart_in_time(self) -> bool:
         """Whether there are recordings that share no time."""
-        return bool(_apart_in_time(self.surveys, self.robots, self.shifts_ns))
-
-    @property
-    def _used_topics(self) -> frozenset[tuple[str, str]]:
-        """Recording's name and topic of everything that a robot needs."""
-        maps = {(robot.found.survey.name, topic.topic) for robot in self.robots for topic in robot.grid_topics}
-        poses = {(robot.found.survey.name, topic) for robot in self.robots for topic in robot.poses.topics}
-        return frozenset(maps | poses)
+        return bool(apart_in_time(self.surveys, self.robots, self.shifts_ns))
 
     def _grid_events(self) -> Iterator[GridEvent]:
         """Every map of every robot, patches applied, in the order of their stamps."""
@@ -180,12 +176,19 @@ class Mission:
             if (robots := [robot for robot in self.robots if robot.found.survey is survey])
         ]
         newest: dict[str, OccupancyGrid] = {}
+        num_updated_cells = 0
         for stamp_ns, robot, message in heapq.merge(*streams, key=lambda item: item[0]):
+            base, is_update = newest.get(robot.name), not isinstance(message, OccupancyGrid)
+            topic, source = robot.grid_topics[is_update].topic, robot.found.survey.recording.path.name
+            if is_update and base is not None:
+                num_updated_cells += base.cells.size
+                if num_updated_cells > self.limits.updated_cells:
+                    reason = f"patches on more than {self.limits.updated_cells} cells of maps"
+                    self._bad_grids[source, "over limit", topic, reason] += 1
+                    continue
             try:
-                grid = whole_grid(robot, message, newest.get(robot.name))
+                grid = whole_grid(robot, message, base)
             except ValueError as error:
-                topic = robot.grid_topics[not isinstance(message, OccupancyGrid)].topic
-                source = robot.found.survey.recording.path.name
                 self._bad_grids[source, "malformed message", topic, str(error)] += 1
                 continue
             newest[robot.name] = grid
@@ -194,68 +197,6 @@ class Mission:
     def _give_up(self, survey: Survey, topic: str) -> None:
         reason = f"more than {self.limits.held_cells} cells of later maps stand before it in the file"
         self._bad_grids[survey.recording.path.name, "over limit", topic, reason] += 1
-
-    def _stamps(self) -> StampArray:
-        """(N,) stamps of every map and pose of every robot, ascending."""
-        stamps = [
-            np.array(topic.stamps_ns, np.int64) + self.shifts_ns[robot.found.survey.name]
-            for robot in self.robots
-            for topic in robot.grid_topics
-        ] + [robot.poses.source.stamps_ns for robot in self.robots if robot.poses.source is not None]
-        found: StampArray = np.sort(np.concatenate([*stamps, np.empty(0, np.int64)]))
-        return found
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ClippedPoses:
-    """A `PoseSource` within a time range.
-
-    Attributes:
-        source: All poses.
-        start_ns: Start of the range, None where open.
-        end_ns: End of the range, exclusive, None where open.
-    """
-
-    source: PoseSource
-    start_ns: int | None
-    end_ns: int | None
-
-    @property
-    def stamps_ns(self) -> StampArray:
-        """(N,) times within the range."""
-        stamps = self.source.stamps_ns
-        low = 0 if self.start_ns is None else int(np.searchsorted(stamps, self.start_ns))
-        high = stamps.size if self.end_ns is None else int(np.searchsorted(stamps, self.end_ns))
-        return stamps[low:high]
-
-    def poses_at(self, stamps_ns: StampArray) -> FloatArray:
-        """(N, 3) of x_m, y_m, yaw_rad."""
-        return self.source.poses_at(stamps_ns)
-
-
-def _time_range(time_range: TimeRange, stamps_ns: StampArray) -> tuple[int, int, int | None, int | None]:
-    """First and last stamp, and start and end of the range.
-
-    Raises:
-        ConfigError: No stamp lies in the range.
-    """
-    if stamps_ns.size == 0:
-        return 0, 0, None, None
-    first_ns, last_ns = int(stamps_ns[0]), int(stamps_ns[-1])
-    start_ns, end_ns = time_range.resolve(first_ns)
-    if (start_ns is not None and start_ns > last_ns) or (end_ns is not None and end_ns <= first_ns):
-        raise ConfigError(
-            f"nothing was recorded in the time range; the mission lasts {(last_ns - first_ns) * 1e-9:.1f} s "
-            f"from {_date(first_ns)}"
-        )
-    return first_ns, last_ns, start_ns, end_ns
-
-
-def _reported_ns(stamps_ns: StampArray, start_ns: int | None, end_ns: int | None) -> int:
-    """Time between stamps (N,) within the range, of silences only as much as snapshots are made in."""
-    low = 0 if start_ns is None else int(np.searchsorted(stamps_ns, start_ns))
-    high = stamps_ns.size if end_ns is None else int(np.searchsorted(stamps_ns, end_ns))
-    return int(np.minimum(np.diff(stamps_ns[low:high]), 2 * SILENCE_NS).sum())
 
 
 def open_recording(paths: Sequence[Path | str], options: MissionOptions | None = None) -> Mission:
@@ -296,95 +237,5 @@ def _updates(robot: MapTopic) -> TopicSurvey | None:
     return topic if topic is not None and topic.role == "update" and topic.stamps_ns else None
 
 
-def _unused_topics(surveys: Sequence[Survey], found: FoundRobots, used: frozenset[tuple[str, str]]) -> list[PassedOver]:
-    """Topics that no robot needs, other than the maps that `found` tells of."""
-    reasons = {
-        "transform": "no robot's poses come through it",
-        "pose": "no robot's poses are taken from it",
-        "update": "no robot's map has this name",
-    }
-    told = {(item.source, item.topic) for item in found.passed_over} | used
-    return [
-        PassedOver(
-            survey.name,
-            topic.topic,
-            topic.schema_name,
-            topic.count,
-            topic.undecodable or reasons.get(topic.role or "", "neither map, transform nor pose"),
-        )
-        for survey in surveys
-        for topic in survey.topics.values()
-        if (survey.name, topic.topic) not in told
-    ]
-
-
 def _in_order(latched: Mapping[str, GridEvent]) -> list[GridEvent]:
     return sorted(latched.values(), key=lambda event: (event.stamp_ns, natural_key(event.robot)))
-
-
-def _shifts_ns(surveys: Sequence[Survey], align_start: bool) -> dict[str, int]:
-    """Time to add to each recording's stamps so that all start with the first one."""
-    starts = {survey.name: survey.first_ns for survey in surveys if survey.first_ns is not None}
-    if not align_start or not starts:
-        return dict.fromkeys((survey.name for survey in surveys), 0)
-    common_ns = next(iter(starts.values()))
-    return {survey.name: common_ns - starts.get(survey.name, common_ns) for survey in surveys}
-
-
-def _refused(source: str, topic: TopicSurvey) -> list[Loss]:
-    return [
-        Loss(source, kind, topic.topic, topic.topic, count, reason)
-        for (kind, reason), count in sorted(topic.refused.items())
-    ]
-
-
-def _apart_in_time(
-    surveys: Sequence[Survey], robots: Sequence[MissionRobot], shifts_ns: Mapping[str, int]
-) -> tuple[str, ...]:
-    """A warning where two recordings with robots share no time."""
-    used = {robot.found.survey.name for robot in robots}
-    spans = [
-        (one.first_ns + shifts_ns[one.name], one.last_ns + shifts_ns[one.name], one.name)
-        for one in surveys
-        if one.name in used and one.first_ns is not None and one.last_ns is not None
-    ]
-    spans.sort()
-    gaps = []
-    end_ns, last = spans[0][1:] if spans else (0, "")
-    for start_ns, stop_ns, name in spans[1:]:
-        if start_ns > end_ns:
-            gaps.append(f"{name} starts {_duration(start_ns - end_ns)} after {last} ends")
-        if stop_ns > end_ns:
-            end_ns, last = stop_ns, name
-    if not gaps:
-        return ()
-    return (
-        f"the recordings do not overlap in time: {'; '.join(gaps)}. "
-        "Give --align-start to shift them to a common start.",
-    )
-
-
-def _clocks_apart(robots: Sequence[MissionRobot]) -> list[str]:
-    """A warning for each robot whose maps' headers and the recorder's log tell different times."""
-    warnings = []
-    for robot in robots:
-        lag_ns = robot.found.topic.lag_ns
-        if abs(lag_ns) > SAME_CLOCK_NS:
-            where = "ahead of" if lag_ns > 0 else "behind"
-            warnings.append(
-                f"the clock of {robot.name} is {_duration(abs(lag_ns))} {where} the recorder's, by its maps' headers. "
-                "Robots are compared at equal header times; --clock log takes the recorder's times instead."
-            )
-    return warnings
-
-
-def _duration(span_ns: int) -> str:
-    seconds = span_ns * 1e-9
-    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
-        if seconds >= 2 * length:
-            return f"{seconds / length:.1f} {unit}"
-    return f"{seconds:.1f} s"
-
-
-def _date(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat().replace("+00:00", "Z")

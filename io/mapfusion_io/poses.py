@@ -10,7 +10,8 @@ from mapfusion.steps import natural_key
 from mapfusion.tf import TransformBuffer, TransformChain
 from mapfusion_io.read_errors import printable
 from mapfusion_io.robots import FoundRobots, MapTopic, UniqueFrames
-from mapfusion_io.survey import Survey, TopicSurvey
+from mapfusion_io.survey import Survey
+from mapfusion_io.topic_survey import TopicSurvey
 
 BASE_FRAMES = ("base_link", "base_footprint")
 """Frames fixed to a robot's body. Source: REP-105."""
@@ -151,16 +152,20 @@ def _base_frames(robot: MapTopic, tree: TransformBuffer) -> list[str]:
     )[:1]
 
 
-def _pose_topics(robot: MapTopic) -> list[TopicSurvey]:
-    """Pose and odometry topics of the robot's namespace, poses before odometry; goals are no poses."""
-    topics = [
-        topic
-        for topic in robot.survey.topics.values()
-        if topic.role == "pose"
-        and topic.first_ns is not None
+def may_tell_poses(robot: MapTopic, topic: TopicSurvey) -> bool:
+    """Whether a topic is a pose or odometry topic of the robot's namespace; goals are no poses."""
+    return (
+        topic.role == "pose"
         and not topic.undecodable
         and (not robot.namespace or topic.topic.strip("/").startswith(robot.namespace + "/"))
         and not any(word in topic.topic.lower() for word in _NO_POSE_WORDS)
+    )
+
+
+def _pose_topics(robot: MapTopic) -> list[TopicSurvey]:
+    """The robot's pose and odometry topics that tell anything, poses before odometry."""
+    topics = [
+        topic for topic in robot.survey.topics.values() if topic.first_ns is not None and may_tell_poses(robot, topic)
     ]
     return sorted(topics, key=lambda topic: (topic.schema_name.endswith("Odometry"), natural_key(topic.topic)))
 

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 from mapfusion.errors import ConfigError
 from mapfusion.steps import natural_key
 from mapfusion_io.read_errors import printable
-from mapfusion_io.survey import Survey, TopicSurvey
+from mapfusion_io.read_limits import ReadLimits
+from mapfusion_io.survey import Survey
+from mapfusion_io.topic_survey import TopicSurvey
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +106,7 @@ class FoundRobots:
     """The robots in natural order, how frames are made unique, and the map topics that are no robot's.
 
     Attributes:
-        over_limit: Those of `passed_over` that are one robot too many.
+        over_limit: Those of `passed_over` that are one robot, or one map, too many.
     """
 
     robots: tuple[MapTopic, ...]
@@ -113,12 +115,15 @@ class FoundRobots:
     over_limit: tuple[PassedOver, ...] = ()
 
 
-def find_robots(surveys: Sequence[Survey], overrides: RobotOverrides, max_robots: int = 100) -> FoundRobots:
+def find_robots(surveys: Sequence[Survey], overrides: RobotOverrides, limits: ReadLimits | None = None) -> FoundRobots:
     """A robot is a map topic, named after its namespace, or after its file where topics or frames of files collide.
+
+    Robots whose maps would be over a limit together with those before them in natural order are left out.
 
     Raises:
         ConfigError: An override names a topic or a robot that is not there, or a name twice.
     """
+    limits = limits or ReadLimits()
     chosen, passed_over = _choose(surveys, overrides)
     of_namespace = _namespace_prefixes(surveys, chosen)
     colliding = _colliding(chosen, of_namespace)
@@ -132,14 +137,21 @@ def find_robots(surveys: Sequence[Survey], overrides: RobotOverrides, max_robots
             raise ConfigError(f"--drop {robot}: there is no such robot; there are {known}")
     robots: list[MapTopic] = []
     over_limit: list[PassedOver] = []
+    num_cells = 0
     for robot in sorted(named, key=natural_key):
         survey, topic = named[robot]
         if robot in overrides.drop:
             passed_over.append(_passed(survey, topic, "dropped by --drop"))
             continue
-        if len(robots) == max_robots:
-            over_limit.append(_passed(survey, topic, f"more than {max_robots} robots"))
+        if len(robots) == limits.robots:
+            over_limit.append(_passed(survey, topic, f"more than {limits.robots} robots"))
             continue
+        if num_cells + topic.most_cells > limits.all_cells:
+            over_limit.append(
+                _passed(survey, topic, f"more than {limits.all_cells} cells in all robots' maps together")
+            )
+            continue
+        num_cells += topic.most_cells
         map_frame = frames.unique(survey, topic.topic, _frame(topic))
         if any(map_frame == other.map_frame for other in robots):
             map_frame = f"{robot}/{map_frame}"
@@ -181,16 +193,21 @@ def _choose(surveys: Sequence[Survey], overrides: RobotOverrides) -> tuple[list[
     return chosen, passed_over
 
 
-def _no_robots_map(survey: Survey, topic: TopicSurvey) -> str:
+def foreign_map(survey: Survey, topic: TopicSurvey) -> str:
+    """Why a topic with maps is no robot's, whatever its messages hold; empty where it may be one's."""
     if topic.undecodable:
         return topic.undecodable
     if "costmap" in topic.topic:
         return "a costmap, not a map"
     if survey.is_own_output and topic.topic.startswith("/fused"):
         return "an earlier result of mapfusion"
-    if not topic.stamps_ns:
-        return "no message that can be believed" if topic.count else "no messages"
     return ""
+
+
+def _no_robots_map(survey: Survey, topic: TopicSurvey) -> str:
+    if topic.stamps_ns:
+        return foreign_map(survey, topic)
+    return foreign_map(survey, topic) or ("no message that can be believed" if topic.count else "no messages")
 
 
 def _colliding(chosen: Sequence[_Choice], of_namespace: Mapping[tuple[str, str], str]) -> set[str]:
@@ -199,9 +216,10 @@ def _colliding(chosen: Sequence[_Choice], of_namespace: Mapping[tuple[str, str],
     used: dict[tuple[str, str], set[str]] = defaultdict(set)
     for survey, topic in chosen:
         used["topic", topic.topic].add(survey.name)
+        used["frame", within.unique(survey, topic.topic, _frame(topic))].add(survey.name)
+    for survey in {survey.name: survey for survey, _ in chosen}.values():
         for other in survey.topics.values():
-            frames = set(other.buffer.frames) | ({_frame(topic)} if other is topic else set())
-            for frame in frames - {other.topic}:
+            for frame in other.buffer.frames - {other.topic}:
                 used["frame", within.unique(survey, other.topic, frame)].add(survey.name)
     return {name for names in used.values() if len(names) > 1 for name in names}
 

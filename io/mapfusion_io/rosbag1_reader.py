@@ -6,6 +6,7 @@ gives up at the first damage.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -103,6 +104,7 @@ class _Pass:
         self._topics: dict[int, str] = {}
         self._counted: Counter[int] = Counter()
         self._orphans: Counter[int] = Counter()
+        self._num_inner = 0
         self.losses: list[Loss] = []
         self.num_found = 0
 
@@ -133,6 +135,7 @@ class _Pass:
 
     def _data(self, file: BinaryIO, offset: int, end: int, index: BagIndex) -> Iterator[RawMessage]:
         """The bag up to its index; behind damage the walk goes on at the next chunk that the index knows."""
+        starts = sorted(index.chunk_counts)
         while True:
             try:
                 for record in records(file, offset, end, self._limits.record_bytes, _WANTED):
@@ -143,7 +146,8 @@ class _Pass:
                         yield from self._inner(record, f"byte {record.offset}")
                 return
             except DamagedError as error:
-                resume = min((start for start in index.chunk_counts if start > offset), default=None)
+                later = bisect_right(starts, offset)
+                resume = starts[later] if later < len(starts) else None
                 if resume is None:
                     if error.kind == "truncated":
                         yield from self._cut_chunk(file, offset, end)
@@ -155,6 +159,9 @@ class _Pass:
     def _chunk(self, record: BagRecord, index: BagIndex) -> Iterator[RawMessage]:
         where = f"chunk at byte {record.offset}"
         try:
+            if self._num_inner > self._limits.chunked_records:
+                detail = f"the chunks before it hold more than {self._limits.chunked_records} records"
+                raise DamagedError("over limit", detail)
             data = chunk_contents(record, self._limits.record_bytes)
         except DamagedError as error:
             self._lose_chunk(index.chunk_counts.get(record.offset, {}), where, error)
@@ -162,6 +169,7 @@ class _Pass:
         self.num_found += 1
         try:
             for inner in records(BytesIO(data), 0, len(data), self._limits.record_bytes, _WANTED):
+                self._num_inner += 1
                 yield from self._inner(inner, where)
         except DamagedError as error:
             self.lose("damaged record", where, detail=error.detail)

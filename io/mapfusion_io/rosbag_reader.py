@@ -22,6 +22,10 @@ from mapfusion_io.read_limits import ReadLimits
 
 _DEFINITION_ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
 _REPAIR = "Repair it with `sqlite3 FILE .recover`."
+_QOS_CHARACTERS = 2**19
+"""Of all topics together; the library's parser takes five seconds for so many."""
+_TOPICS_TIMES_DEFINITIONS = 10_000_000
+"""The library looks through all definitions for each topic; a second for so many."""
 _COMPUTED = re.compile(r"\bVIRTUAL\b|\bGENERATED\b|\bAS\s*\(", re.IGNORECASE)
 
 
@@ -112,6 +116,11 @@ class Sqlite3Recording:
                 if not (isinstance(log_time_ns, int) and isinstance(data, bytes)):
                     continue  # stays in `left`
                 left[connection.id] -= 1
+                if len(data) > self._limits.record_bytes:
+                    topic = channels[connection.id].topic
+                    detail = f"it has {len(data)} bytes, the limit is {self._limits.record_bytes}"
+                    self._lose("over limit", f"the message of {log_time_ns / 1e9:.3f} s", topic, 1, detail)
+                    continue
                 yield RawMessage(channels[connection.id], log_time_ns, log_time_ns, data)
         except Exception as error:  # the library lets errors of many kinds through
             reason = words(error)
@@ -155,9 +164,22 @@ def _refuse_computed_tables(quoted_path: str) -> None:
     """Nothing in the database may be worked out while it is read: such a table could be without end.
 
     Raises:
-        ValueError: A view, a virtual table or a computed column.
+        ValueError: A view, a virtual table or a computed column; or more topics and settings than the library can take.
     """
     with closing(sqlite3.connect(f"file:{quoted_path}?immutable=1", uri=True)) as database:
+        tables = set()
         for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
             if kind == "view" or (kind == "table" and _COMPUTED.search(str(sql))):
                 raise ValueError(f"{name} is no plain table")
+            tables.add(name)
+        columns = [name for _, name, *_ in database.execute("PRAGMA table_info(topics)")]
+        if "offered_qos_profiles" in columns:
+            ((length,),) = database.execute("SELECT total(length(offered_qos_profiles)) FROM topics")
+            if length > _QOS_CHARACTERS:
+                raise ValueError(f"QoS profiles of {length:.0f} characters")
+        if "message_definitions" in tables:
+            ((num_pairs,),) = database.execute(
+                "SELECT (SELECT count(*) FROM topics) * (SELECT count(*) FROM message_definitions)"
+            )
+            if num_pairs > _TOPICS_TIMES_DEFINITIONS:
+                raise ValueError("too many topics and definitions")

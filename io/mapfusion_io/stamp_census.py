@@ -22,6 +22,8 @@ USUAL_SHARE = 0.1
 """What this part of a recording's messages say of their times is no accident."""
 USUAL_MESSAGES = 10
 """A day or more apart from the rest, so many messages make a time of recording of its own."""
+MAX_SPANS = 200
+"""Most times of recording, with days on which nothing was recorded between them; those with the most messages count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,8 @@ class StampCensus:
                 spans.append((day, day))
                 sizes.append(self._log_days[day])
         enough = min(USUAL_SHARE * sum(sizes), max(sizes, default=0), USUAL_MESSAGES)
-        return [span for span, size in zip(spans, sizes, strict=True) if size >= enough]
+        largest = sorted((-size, span) for span, size in zip(spans, sizes, strict=True) if size >= enough)
+        return sorted(span for _, span in largest[:MAX_SPANS])
 
 
 def _ranges(spans: list[tuple[int, int]], lags: set[int]) -> StampRanges:

@@ -1,4 +1,4 @@
-from mapfusion_cli.options import MAX_CHUNK_MIB, MAX_MAP_CELLS, MAX_MESSAGES, MAX_ROBOTS
+from mapfusion_cli.options import MAX_ALL_CELLS, MAX_CHUNK_MIB, MAX_MAP_CELLS, MAX_MESSAGES, MAX_ROBOTS
 from mapfusion_cli.printing import LONGEST_LINE, one_line, two_lines
 from mapfusion_io.read_limits import ReadLimits
 
@@ -19,6 +19,7 @@ def test_the_options_have_the_defaults_of_the_limits() -> None:
     assert (
         limits.record_bytes,
         limits.map_cells,
+        limits.all_cells,
         limits.messages,
         limits.robots,
-    ) == (MAX_CHUNK_MIB * 2**20, MAX_MAP_CELLS, MAX_MESSAGES, MAX_ROBOTS)
+    ) == (MAX_CHUNK_MIB * 2**20, MAX_MAP_CELLS, MAX_ALL_CELLS, MAX_MESSAGES, MAX_ROBOTS)

@@ -171,16 +171,6 @@ def test_known_starts_and_pairs_kept_apart(mapfusion: Command, recording: Path, 
     assert apart["groups"] == []
 
 
-def test_a_robot_placed_far_away_costs_the_merged_map_and_not_the_machine(
-    mapfusion: Command, recording: Path, output: Path
-) -> None:
-    ran = mapfusion("replay", recording, output, "--prior", "robot2=100000,0,0")
-    assert ran.code == 3
-    assert "lost: output: over limit at group 1" in ran.out
-    assert "/fused/map" not in topics(output)
-    assert "/fused/robot2/pose" in topics(output)
-
-
 def test_losses_end_in_3_and_with_strict_in_1(mapfusion: Command, recording: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     whole = recording.read_bytes()

@@ -110,9 +110,17 @@ def test_a_pair_that_must_not_join_does_not() -> None:
     assert not last.placements
 
 
-def test_a_merged_map_that_would_be_too_large_is_left_out_and_named() -> None:
-    far = replace(PAPER, priors={"b": Prior(SE2(1e5, 0.0, 0.0))}, max_merged_cells=1_000_000)
-    *_, last = replay(mission(), far)
-    assert not last.maps
-    assert "more than 1000000" in last.over_limit[1]
-    assert last.placements["b"].T_group_map == SE2(1e5, 0.0, 0.0)
+def test_a_robot_far_away_is_left_out_of_the_merged_map_and_named() -> None:
+    far = replace(PAPER, priors={"c": Prior(SE2(1e5, 0.0, 0.0))}, max_merged_cells=1_000_000)
+    events = [*mission(), grid_event("c", 5.0, grid_of(flat(40, 40, 0)))]
+    *_, last = replay(events, far)
+    *_, near = replay(events, PAPER)
+    assert last.left_out == {1: ("c",)}
+    assert near.left_out == {}
+    np.testing.assert_array_equal(last.maps[1].cells, near.maps[1].cells)
+    assert last.placements["c"].T_group_map == SE2(1e5, 0.0, 0.0)
+
+
+def test_no_merged_map_where_no_robot_fits() -> None:
+    *_, last = replay(mission(), replace(PAPER, max_merged_cells=100))
+    assert (last.maps, last.left_out) == ({}, {1: ("a", "b")})

@@ -10,7 +10,9 @@ import numpy as np
 from rosbags.typesys.stores import ros2_humble as ros
 
 from mapfusion.grid import Cells
+from mapfusion.steps import GridEvent
 from mapfusion_io.interfaces import Attachment, Channel, Loss, RawMessage
+from mapfusion_io.mission import Mission, MissionOptions
 from mapfusion_io.survey import Survey, take_survey
 from tests.io.making import HUMBLE, cdr, grid_message, header, pose_message, tf_message, update_message
 
@@ -101,3 +103,15 @@ def surveyed(name: str, *messages: RawMessage, losses: tuple[Loss, ...] = ()) ->
     """A recording after its first pass."""
     recording = FakeRecording(f"{name}.mcap", messages, losses)
     return take_survey(recording, name, "header")
+
+
+def mission(*messages: RawMessage, losses: tuple[Loss, ...] = (), **options: object) -> Mission:
+    """A mission of one recording."""
+    return Mission([surveyed("run", *messages, losses=losses)], MissionOptions(**options))  # type: ignore[arg-type]
+
+
+def grids(mission: Mission) -> list[tuple[str, float]]:
+    """Robot and stamp of every map, in seconds after `START_NS`."""
+    return [
+        (event.robot, (event.stamp_ns - START_NS) * 1e-9) for event in mission.events() if isinstance(event, GridEvent)
+    ]

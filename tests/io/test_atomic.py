@@ -30,7 +30,8 @@ def test_appears_only_at_the_end(tmp_path: Path) -> None:
         file.write(memoryview(b"world"))
         assert file.tell() == 11
         assert not path.exists()
-        assert [entry.name for entry in tmp_path.iterdir()] == [f".out.bin.mapfusion-{os.getpid()}.partial"]
+        (partial,) = tmp_path.iterdir()
+        assert partial.match(f".out.bin.mapfusion-{os.getpid()}-*.partial")
     assert path.read_bytes() == b"hello world"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -60,6 +61,22 @@ def test_a_file_that_appeared_meanwhile_stays(tmp_path: Path) -> None:
     with pytest.raises(LogWriteError, match="already exists"), AtomicFile(path):
         path.write_bytes(b"someone else's")
     assert path.read_bytes() == b"someone else's"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_two_writers_of_one_number_do_not_write_into_one_file(tmp_path: Path) -> None:
+    path = tmp_path / "out.bin"
+    second = b"second" * 1000
+    slow = AtomicFile(path, force=True)
+    slow.__enter__()
+    slow.write(b"first" * 100_000)
+    with AtomicFile(path, force=True) as file:
+        file.write(second)
+    slow.write(b"first" * 100_000)
+    assert path.read_bytes() == second
+    with pytest.raises(LogWriteError, match="cannot be written"):
+        slow.commit()
+    assert path.read_bytes() == second
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -94,7 +111,7 @@ def test_a_link_is_followed(tmp_path: Path) -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
 def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = Path.open
-    monkeypatch.setattr(Path, "open", lambda path, mode: opened(Path("/dev/full"), mode) if mode == "wb" else None)
+    monkeypatch.setattr(Path, "open", lambda path, mode: opened(Path("/dev/full"), "wb") if mode == "xb" else None)
     for num_bytes in (10, 10_000_000):  # the first fits the buffer and fails at the end
         with pytest.raises(LogWriteError, match=r"out\.bin: cannot be written: No space left"):
             write(tmp_path / "out.bin", b"x" * num_bytes)

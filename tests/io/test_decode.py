@@ -8,6 +8,7 @@ import pytest
 
 from mapfusion.errors import LogReadError
 from mapfusion_io.decode import Decoder, MalformedMessageError
+from mapfusion_io.definitions import MAX_DEFINITIONS
 from mapfusion_io.interfaces import RawMessage
 from tests.io.making import (
     HUMBLE,
@@ -35,6 +36,16 @@ POINT_IDL = b"""module demo { module msg { struct Pair {
 
 def own(type_name: str, definition: str, data: bytes, encoding: str = "ros2msg", **channel: Any) -> RawMessage:
     return raw_message(type_name, data, schema_encoding=encoding, schema_data=definition.encode(), **channel)
+
+
+def test_past_many_definitions_the_usual_one_is_taken() -> None:
+    decoder = Decoder()
+    definitions = [f"# {number}\n{GRID_DEFINITION.decode()}" for number in range(MAX_DEFINITIONS + 20)]
+    for definition in [*definitions, definitions[0]]:
+        assert (decoder.decode(own(GRID, definition, GRID_BYTES)).info.width) == 40
+    assert len(decoder.warnings) == 1
+    pair = own("demo/msg/Pair", "int32 first\n", bytes(8))
+    assert "more than 64 definitions" in (decoder.supported(pair.channel) or "")
 
 
 @pytest.mark.parametrize("definition", [b"", GRID_DEFINITION, GRID_DEFINITION.replace(b"\n", b"\r\n")])
@@ -92,10 +103,12 @@ def test_definitions_of_one_name_do_not_clash() -> None:
         assert (decoder.decode(second).b, decoder.decode(second).c) == (1, 2)
 
 
-def test_definition_that_cannot_be_used_gives_way_to_the_usual_one(caplog: pytest.LogCaptureFixture) -> None:
+def test_definition_that_cannot_be_used_gives_way_to_the_usual_one() -> None:
     decoder = Decoder()
     assert decoder.decode(own(GRID, "int32 = nonsense", GRID_BYTES)).info.width == 40
-    assert "the usual one is taken" in caplog.text
+    (warning,) = decoder.warnings
+    assert warning.startswith("/topic: type nav_msgs/msg/OccupancyGrid: its definition cannot be used")
+    assert warning.endswith("the usual one is taken")
 
 
 @pytest.mark.parametrize(

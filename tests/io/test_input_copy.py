@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros1_noetic as ros1
 from rosbags.typesys.stores import ros2_humble as ros
 
+from mapfusion_io import input_copy
 from mapfusion_io.definitions import default_store
 from mapfusion_io.input_copy import CopySource, InputCopy, LeftOut
 from mapfusion_io.interfaces import Attachment, Channel, Loss, RawMessage
@@ -296,6 +297,14 @@ def test_two_definitions_of_a_type_cannot_share_a_file(tmp_path: Path) -> None:
     )
     assert [(item.topic, item.count) for item in inputs.left_out] == [("/b", 1)]
     assert [c.topic for c in read(tmp_path / "out.mcap")] == ["/a"]
+
+
+def test_what_follows_on_too_many_definitions_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(input_copy, "MAX_DEFINITIONS", 2)
+    channels = [ros2_channel(f"/t{number}", "demo/msg/T", f"# {number}\nint32 x") for number in (0, 0, 1, 2)]
+    inputs = copy_to(tmp_path / "out.mcap", source(*(raw(channel, bytes(8)) for channel in channels)))
+    (left_out,) = inputs.left_out
+    assert (left_out.topic, left_out.reason) == ("/t2", "the recordings hold more than 2 definitions")
 
 
 def test_a_broken_message_is_counted_and_the_next_one_copied(tmp_path: Path) -> None:

@@ -325,7 +325,7 @@ def test_limits_are_the_callers(tmp_path: Path) -> None:
     assert [loss.kind for loss in recording.losses] == ["over limit", "definition lost"]
 
 
-def test_attachments_and_metadata(tmp_path: Path) -> None:
+def test_attachments_and_metadata(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "run.mcap"
     with path.open("wb") as file:
         writer: Any = Writer(file)
@@ -340,6 +340,10 @@ def test_attachments_and_metadata(tmp_path: Path) -> None:
     assert list(recording.metadata()) == [("mapfusion", {"version": "1"})]
     path.write_bytes(path.read_bytes().replace(b"image: map", b"image: mop"))
     assert [item.name for item in recording.attachments()] == ["map.pgm"]
+    assert caplog.messages == ["run.mcap: 1 damaged attachments were left out"]
+    path.write_bytes(HEADER + record(12, b"") * 1000 + END)
+    assert list(recording.metadata()) == []
+    assert caplog.messages[1:] == ["run.mcap: 1000 damaged metadata records were left out"]
 
 
 @pytest.mark.parametrize("options", LAYOUTS[:3])
@@ -370,3 +374,61 @@ def test_messages_carry_both_times(tmp_path: Path) -> None:
     (raw,) = McapRecording(path).messages(lambda channel: True)
     assert (raw.log_time_ns, raw.publish_time_ns) == (STAMP_NS + 5, STAMP_NS)
     assert (raw.channel.schema_name, raw.channel.schema_data) == ("", b"")
+
+
+def test_a_chunk_that_only_the_index_knows_is_named(tmp_path: Path) -> None:
+    for options in ({"use_statistics": False}, {"use_statistics": False, "index_types": IndexType.CHUNK}):
+        content = bytearray(mcap_bytes(MESSAGES, chunk_size=1, **options))
+        second_chunk = content.index(b"zstd", content.index(b"zstd") + 4) - 4 - 28 - 9
+        assert content[second_chunk] == 6
+        content[second_chunk] = 0x86  # a record of a kind that readers pass over
+        recording = recording_of(tmp_path, bytes(content))
+        assert delivered(recording) == [MESSAGES[0], *MESSAGES[2:]]
+        (loss,) = recording.losses
+        assert (loss.kind, loss.where) == ("missing chunk", f"chunk at byte {second_chunk}")
+        is_indexed = "index_types" not in options
+        assert (loss.topic, loss.count) == ((MESSAGES[1].topic, 1) if is_indexed else ("", None))
+
+
+def test_statistics_that_count_all_messages_and_no_channels(tmp_path: Path) -> None:
+    def with_count(count: int) -> bytes:
+        statistics = record(11, struct.pack("<QHIIIIQQI", count, 0, 1, 0, 0, 0, 0, 0, 0))
+        data = HEADER + CHANNEL + message(b"x")
+        start = len(data) + 13
+        return data + record(15, bytes(4)) + statistics + record(2, struct.pack("<QQI", start, 0, 0)) + MAGIC
+
+    whole = recording_of(tmp_path, with_count(1))
+    assert (len(delivered(whole)), whole.losses) == (1, ())
+    lacking = recording_of(tmp_path, with_count(3))
+    assert len(delivered(lacking)) == 1
+    assert [(loss.kind, loss.count) for loss in lacking.losses] == [("missing messages", 2)]
+    assert list(lacking.messages(lambda channel: False)) == []
+    assert lacking.losses == ()  # nobody wants what is missing
+
+
+def test_a_flood_of_tiny_records_in_chunks_ends_by_name(tmp_path: Path) -> None:
+    content = mcap_bytes(MESSAGES, chunk_size=1)
+    recording = recording_of(tmp_path, content, chunked_records=20)
+    found = delivered(recording)
+    assert found == MESSAGES[: len(found)]
+    assert 5 < len(found) < 20
+    assert {loss.kind for loss in recording.losses} == {"over limit"}
+    assert sum(loss.count or 0 for loss in recording.losses) == 40 - len(found)
+
+
+def test_an_index_of_chunks_that_are_not_there(tmp_path: Path) -> None:
+    def indexed(count: int, length: int) -> bytes:
+        indexes = b"".join(
+            record(8, struct.pack("<QQQQI", 0, 0, 100 + start, length, 0) + struct.pack("<QIQQ", 0, 0, 0, 0))
+            for start in range(count)
+        )
+        data = HEADER + CHANNEL + message(b"x") + bytes(count + 200)
+        return data + indexes + record(2, struct.pack("<QQI", len(data), 0, 0)) + MAGIC
+
+    started_s = time.process_time()
+    for content in (indexed(30_000, 50), indexed(3, 2**64 - 200)):
+        recording = recording_of(tmp_path, content)
+        assert len(delivered(recording)) == 1
+        assert {loss.kind for loss in recording.losses} <= {"damaged record", "missing chunk", "further losses"}
+        assert recording.losses
+    assert time.process_time() - started_s < 3.0

@@ -3,21 +3,11 @@ import pytest
 
 from mapfusion.errors import ConfigError, MissionError
 from mapfusion.steps import GridEvent, RobotEvent
-from mapfusion_io.interfaces import Loss, RawMessage
+from mapfusion_io.interfaces import Loss
 from mapfusion_io.mission import Mission, MissionOptions
-from mapfusion_io.survey import Survey, take_survey
+from mapfusion_io.read_limits import ReadLimits
 from mapfusion_io.time_range import TimeRange
-from tests.io.fake_recordings import CELLS, FakeRecording, Sender, ns, surveyed
-
-
-def mission(*messages: RawMessage, **options: object) -> Mission:
-    return Mission([surveyed("run", *messages)], MissionOptions(**options))  # type: ignore[arg-type]
-
-
-def grids(mission: Mission) -> list[tuple[str, float]]:
-    return [
-        (event.robot, (event.stamp_ns - ns(0.0)) * 1e-9) for event in mission.events() if isinstance(event, GridEvent)
-    ]
+from tests.io.fake_recordings import CELLS, Sender, grids, mission, ns, surveyed
 
 
 def test_robots_come_first_then_grids_in_the_order_of_their_stamps() -> None:
@@ -57,6 +47,15 @@ def test_updates_are_laid_over_the_last_full_map() -> None:
     assert any("beyond the grid" in detail for detail in losses)
 
 
+def test_patches_on_too_many_cells_are_lost_by_name() -> None:
+    send = Sender()
+    patch = np.full((1, 1), 100, np.int8)
+    updates = [send.update("/a/map_updates", 1.0 + step, patch, 0, 0) for step in range(4)]
+    made = mission(send.grid("/a/map", 0.0), *updates, limits=ReadLimits(updated_cells=2 * CELLS.size))
+    assert [stamp for _, stamp in grids(made)] == [0.0, 1.0, 2.0]
+    assert [(loss.kind, loss.topic, loss.count) for loss in made.losses] == [("over limit", "/a/map_updates", 2)]
+
+
 def test_zero_stamps_take_the_log_time_and_the_log_clock_takes_it_always() -> None:
     send = Sender()
     messages = [send.grid("/a/map", 3.0, stamp_s=-1_700_000_000.0), send.grid("/a/map", 5.0, stamp_s=2.0)]
@@ -75,16 +74,6 @@ def test_messages_that_cannot_be_believed_are_lost_by_name() -> None:
     assert {loss.topic for loss in made.losses} == {"/a/map"}
 
 
-def test_losses_of_topics_that_no_robot_needs_do_not_count() -> None:
-    send = Sender()
-    survey = surveyed(
-        "run",
-        send.grid("/a/map", 1.0),
-        losses=(Loss("run.mcap", "chunk crc", "at 17", "/chatter", 3), Loss("run.mcap", "truncated", "at 99")),
-    )
-    assert [loss.kind for loss in Mission([survey], MissionOptions()).losses] == ["truncated"]
-
-
 def test_a_time_range_keeps_what_was_latched_before_it() -> None:
     send = Sender()
     messages = [
@@ -98,77 +87,14 @@ def test_a_time_range_keeps_what_was_latched_before_it() -> None:
         mission(*messages, time_range=TimeRange(start="50"))
 
 
-def test_poses_are_clipped_to_the_time_range() -> None:
-    send = Sender()
-    made = mission(
-        send.grid("/a/map", 0.0, "a/map"),
-        *(send.pose("/a/pose", time_s, "a/map") for time_s in (0.0, 1.0, 2.0, 3.0)),
-        time_range=TimeRange(start="1", duration_s=2.0),
-    )
-    (robot,) = [event for event in made.events() if isinstance(event, RobotEvent)]
-    assert robot.poses is not None
-    assert robot.poses.stamps_ns.tolist() == [ns(1.0), ns(2.0)]
-
-
-def test_recordings_of_different_times_are_said_and_can_be_aligned() -> None:
-    surveys = []
-    for name, start in (("1", 100.0), ("2", 72_000.0)):
-        send = Sender()
-        surveys.append(
-            surveyed(name, send.grid("/map", start + 5.0), send.transforms("/tf", start, ("map", "base_link")))
-        )
-    apart = Mission(surveys, MissionOptions())
-    (warning,) = apart.warnings
-    assert "do not overlap in time: 2 starts 20.0 hours after 1 ends" in warning
-    assert "--align-start" in warning
-    aligned = Mission(surveys, MissionOptions(align_start=True))
-    assert aligned.warnings == ()
-    assert grids(aligned) == [("1", 105.0), ("2", 105.0)]
-    source = aligned.robots[1].poses.source
-    assert source is not None
-    assert source.stamps_ns.tolist() == [ns(100.0)]
-
-
-def test_every_topic_is_used_or_passed_over_with_a_reason() -> None:
-    send = Sender()
-    made = mission(
-        send.grid("/a/map", 0.0, "a/map"),
-        send.transforms("/tf", 0.0, ("a/map", "a/base_link")),
-        send.pose("/a/pose", 0.0, "a/map"),
-        send.text("/chatter", 0.0),
-    )
-    assert {item.topic: item.reason for item in made.passed_over} == {
-        "/a/pose": "no robot's poses are taken from it",
-        "/chatter": "neither map, transform nor pose",
-    }
-
-
 def test_fewer_than_two_robots_are_no_mission() -> None:
     send = Sender()
     with pytest.raises(MissionError, match=r"run\.mcap: only one robot with a map \(a\)"):
         mission(send.grid("/a/map", 0.0, "a/map")).require_robots()
     with pytest.raises(MissionError, match="/chatter"):
         mission(send.text("/chatter", 0.0)).require_robots()
-
-
-def test_a_recording_that_covers_two_others_leaves_no_gap() -> None:
-    def covering(name: str, *times_s: float) -> Survey:
-        send = Sender()
-        return surveyed(name, *(send.grid(f"/{name}/map", time_s, f"{name}/map") for time_s in times_s))
-
-    surveys = [covering("a", 0.0, 100.0), covering("b", 10.0, 22.0), covering("c", 50.0, 62.0)]
-    assert Mission(surveys, MissionOptions()).warnings == ()
-
-
-def test_a_clock_that_differs_from_the_recorders_is_said() -> None:
-    send = Sender()
-    messages = [
-        *(send.grid("/a/map", time_s, "a/map") for time_s in (20.0, 40.0)),
-        *(send.grid("/b/map", time_s, "b/map", stamp_s=time_s + 37.0) for time_s in (21.0, 41.0)),
-    ]
-    (warning,) = mission(*messages).warnings
-    assert "the clock of b is 37.0 s ahead of the recorder's" in warning
-    assert "--clock log" in warning
-    by_log = Mission([take_survey(FakeRecording("run.mcap", messages), "run", "log")], MissionOptions(clock="log"))
-    assert by_log.warnings == ()
-    assert grids(by_log) == [("a", 20.0), ("b", 21.0), ("a", 40.0), ("b", 41.0)]
+    lost = (Loss("run.mcap", "truncated", "byte 99"),)
+    with pytest.raises(
+        MissionError, match=r"only one robot.*\nWhat was there is lost in part \(truncated at byte 99\)"
+    ):
+        mission(send.grid("/a/map", 0.0, "a/map"), losses=lost).require_robots()

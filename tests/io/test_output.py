@@ -325,15 +325,15 @@ def test_a_snapshot_beyond_what_ros_can_say(tmp_path: Path) -> None:
 
 
 class FailingFile:
-    """A stream on a disk that is full after so many bytes."""
+    """A stream whose write number `num_good` and all further ones fail."""
 
-    def __init__(self, file: Any, num_bytes: int) -> None:
-        self._file, self._left = file, num_bytes
+    def __init__(self, file: Any, num_good: int) -> None:
+        self._file, self._num_left = file, num_good
 
     def write(self, data: bytes) -> int:
-        self._left -= len(data)
-        if self._left < 0:
+        if self._num_left == 0:
             raise OSError(28, "No space left on device")
+        self._num_left -= 1
         return int(self._file.write(data))
 
     def __getattr__(self, name: str) -> Any:
@@ -342,18 +342,24 @@ class FailingFile:
 
 def test_a_disk_that_gets_full_at_any_write_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "out.mcap"
-    write_mission(path, make_steps(3))
-    size = path.stat().st_size
-    path.unlink()
-    opened = Path.open
-    for num_bytes in [*range(0, size, size // 15), size - 1]:
+    path.write_bytes(b"old")
+    steps, opened = make_steps(3), Path.open
+    for num_good in range(10_000):
 
-        def limited(at: Path, mode: str = "r", num_bytes: int = num_bytes, **options: Any) -> Any:
+        def limited(at: Path, mode: str = "r", num_good: int = num_good, **options: Any) -> Any:
             file = opened(at, mode, **options)
-            return FailingFile(file, num_bytes) if mode == "wb" else file
+            return FailingFile(file, num_good) if mode == "xb" else file
 
-        monkeypatch.setattr(Path, "open", limited)
-        with pytest.raises(LogWriteError, match=r"out\.mcap: cannot be written: No space left"):
-            write_mission(path, make_steps(3))
-        monkeypatch.undo()
-        assert list(tmp_path.iterdir()) == []
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "open", limited)
+            try:
+                write_mission(path, steps, force=True)
+            except LogWriteError as error:
+                words = str(error)
+            else:
+                break
+        assert words == f"{path}: cannot be written: No space left on device"
+        assert list(tmp_path.iterdir()) == [path]
+        assert path.read_bytes() == b"old"
+    assert num_good > 10
+    assert path.read_bytes() != b"old"

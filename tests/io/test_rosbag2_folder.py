@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import sqlite3
+import time
 from pathlib import Path
 
 import pytest
@@ -63,7 +64,8 @@ def test_folder_of_several_files_in_their_order(tmp_path: Path) -> None:
         write_rosbag2(tmp_path / name[:-5], messages, StoragePlugin.MCAP)
         (tmp_path / name[:-5] / name).rename(folder / name)
     assert delivered(open_one(folder)) == MESSAGES
-    metadata = "rosbag2_bagfile_information: {relative_file_paths: [run_2.mcap, ../run_11.mcap, run_10.mcap]}"
+    names = ["run_2.mcap", "../run_11.mcap", "run_10.mcap", "run_2.mcap"]  # one outside, one named twice
+    metadata = "rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n    - " + "\n    - ".join(names)
     (folder / "metadata.yaml").write_text(metadata)
     recording = open_one(folder)
     assert delivered(recording) == MESSAGES
@@ -80,3 +82,24 @@ def test_unreadable_file_of_a_folder_is_a_loss(tmp_path: Path) -> None:
     recording = open_one(folder)
     assert delivered(recording) == MESSAGES
     assert [(loss.kind, loss.where) for loss in recording.losses] == [("unreadable file", "run_0.db3")]
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [
+        "  junk:\n" + "    - a: [1, 2, {b: c}]\n" * 400_000,
+        "  a: &a [x, x]\n" + "".join(f"  a{i}: &a{i} [{', '.join(['*a'] * 9)}]\n" for i in range(9)),
+        "  compression_mode: *a8\n",
+        "  compression_mode: &a [x, x]\n",
+        "  junk: " + "[" * 100_000 + "\n",
+    ],
+    ids=["long", "aliases", "alias in use", "list in use", "deep"],
+)
+def test_metadata_cannot_take_the_time(hostile: str, tmp_path: Path) -> None:
+    write_rosbag2(tmp_path / "run", MESSAGES, StoragePlugin.MCAP)
+    path = tmp_path / "run" / "metadata.yaml"
+    path.write_text(path.read_text() + hostile)
+    started_s = time.process_time()
+    recording = open_one(tmp_path / "run")
+    assert time.process_time() - started_s < 2.0
+    assert delivered(recording) == MESSAGES

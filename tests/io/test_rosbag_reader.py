@@ -185,6 +185,47 @@ def test_rows_that_are_no_messages(tmp_path: Path) -> None:
     ]
 
 
+def test_messages_over_the_limit_are_named(tmp_path: Path) -> None:
+    recording = Sqlite3Recording(database(tmp_path), ReadLimits(record_bytes=200))
+    found = delivered(recording)
+    assert found == [item for item in MESSAGES if len(item.data) <= 200]
+    assert 0 < len(found) < len(MESSAGES)
+    assert {(loss.kind, loss.count) for loss in recording.losses} == {("over limit", 1)}
+    assert len(found) + len(recording.losses) == len(MESSAGES)
+
+
+def test_settings_that_would_take_minutes_to_parse_are_refused(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    connection = sqlite3.connect(path)
+    connection.execute("UPDATE topics SET offered_qos_profiles = ?", ["- {a: b}\n" * 500_000])
+    connection.commit()
+    connection.close()
+    started_s = time.process_time()
+    with pytest.raises(LogReadError, match="QoS profiles"):
+        delivered(Sqlite3Recording(path))
+    assert time.process_time() - started_s < 1.0
+
+
+def test_more_topics_and_definitions_than_the_library_can_take_are_refused(tmp_path: Path) -> None:
+    path = database(tmp_path)
+    connection = sqlite3.connect(path)
+    rows = [(f"a/msg/T{number}", "ros2msg", "int8 x", "") for number in range(5000)]
+    connection.executemany(
+        "INSERT INTO message_definitions (topic_type, encoding, encoded_message_definition, type_description_hash) "
+        "VALUES (?, ?, ?, ?)",
+        rows,
+    )
+    connection.executemany(
+        "INSERT INTO topics (name, type, serialization_format, offered_qos_profiles, type_description_hash) "
+        "VALUES ('/t', ?, 'cdr', '', '')",
+        [row[:1] for row in rows],
+    )
+    connection.commit()
+    connection.close()
+    with pytest.raises(LogReadError, match="too many topics"):
+        delivered(Sqlite3Recording(path))
+
+
 def test_journal_that_was_never_merged_is_named(tmp_path: Path) -> None:
     path = database(tmp_path)
     path.with_name("run.db3-wal").write_bytes(b"x")

@@ -43,5 +43,13 @@ def test_a_damaged_log_time_does_not_widen_the_range_and_a_second_session_does()
     assert holds(census(*usual, *later), "/a", TODAY_NS + week) == [True]
 
 
+def test_of_too_many_times_of_recording_those_with_the_most_messages_count() -> None:
+    days = [2 * number * DAY_NS for number in range(3000)]
+    made = census(*[("/a", day, day) for day in days for _ in range(10)], *[("/a", days[2000], days[2000])] * 5)
+    held = made.believable()["/a"].hold(np.array(days, np.int64))
+    assert held[2000]
+    assert 200 <= held.sum() <= 3 * 200
+
+
 def test_a_topic_without_stamps_is_not_in_it() -> None:
     assert StampCensus().believable() == {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +17,7 @@ EVERY_OFFSET_BYTES = 20_000
 Message = tuple[str, str, int, bytes]
 
 
-def cuts(content: bytes, borders: list[int], seed: int, num_random: int = 2000) -> Iterator[bytes]:
+def cuts(content: bytes, borders: Sequence[int], seed: int, num_random: int = 2000) -> Iterator[bytes]:
     """Every shorter beginning of a small recording; of a larger one those near its borders, and random ones."""
     if len(content) <= EVERY_OFFSET_BYTES:
         yield from (content[:offset] for offset in range(len(content)))

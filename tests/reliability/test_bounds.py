@@ -1,6 +1,7 @@
 """What a small recording may not do: take the machine."""
 
 import json
+import math
 import struct
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 
 from mapfusion.steps import GridEvent
 from mapfusion_io.mcap_records import MAGIC
@@ -115,6 +117,31 @@ def test_robots_over_the_limit_are_dropped_by_name(tmp_path: Path) -> None:
     assert command("replay", recording, output, "--max-robots", 0).code == 2
 
 
+def test_maps_that_are_too_large_together_are_dropped_by_name(tmp_path: Path) -> None:
+    recording, output = tmp_path / "run.mcap", tmp_path / "fused.mcap"
+    more = [sent(f"/{name}/map", grid("a", frame_id=f"{name}/map"), 0.1) for name in "cd"]
+    recording.write_bytes(mcap_bytes([*mission(1), *more]))
+    ran = command("replay", recording, output, *FAST, "--max-all-cells", 3 * 150 * 150)
+    result = json.loads(ran.out)
+    assert (ran.code, set(result["robots"])) == (3, {"a", "b", "c"})
+    assert [(loss["kind"], loss["topic"]) for loss in result["losses"]] == [("over limit", "/d/map")]
+    assert "together" in result["losses"][0]["detail"]
+
+
+@pytest.mark.parametrize("cells", [(400, 400), (150, 150)])
+def test_a_robot_without_a_map_that_counts_is_a_loss(cells: tuple[int, int], tmp_path: Path) -> None:
+    recording, output = tmp_path / "run.mcap", tmp_path / "fused.mcap"
+    is_over = cells == (400, 400)
+    bad = grid("a", cells=np.zeros(cells, np.int8), frame_id="c/map", resolution_m=0.1 if is_over else math.nan)
+    recording.write_bytes(mcap_bytes([*mission(1), sent("/c/map", bad, 0.5)]))
+    ran = command("replay", recording, output, *FAST, "--max-map-cells", 100_000)
+    result = json.loads(ran.out)
+    assert (ran.code, set(result["robots"])) == (3, {"a", "b"})
+    kind = "over limit" if is_over else "malformed message"
+    assert [(loss["kind"], loss["topic"], loss["messages"]) for loss in result["losses"]] == [(kind, "/c/map", 1)]
+    assert command("info", recording, "--max-map-cells", 100_000).code == 3
+
+
 def test_hundred_thousand_topics_frames_and_tiny_messages(tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     transforms = [
@@ -137,8 +164,13 @@ def test_a_robot_placed_far_away_does_not_blow_up_the_merged_map(tmp_path: Path)
     result = json.loads(ran.out)
     assert ran.code == 3
     assert [(loss["kind"], loss["topic"]) for loss in result["losses"]] == [("over limit", "")]
-    assert "a merged map of" in result["losses"][0]["detail"]
+    assert result["losses"][0]["detail"].startswith("b lies too far away")
     assert result["groups"][0]["robots"] == ["a", "b"]
+    with output.open("rb") as file:
+        found = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
+    (merged,) = (message for topic, message in found if topic == "/fused/map")
+    assert 90 * 150 < len(merged.data) < 100 * 150  # what a knows
+    assert "/fused/b/pose" in {topic for topic, _ in found}
 
 
 def test_maps_that_come_in_reverse_are_not_all_held(tmp_path: Path) -> None:

@@ -56,13 +56,16 @@ def test_the_next_run_removes_what_a_killed_one_left_and_nothing_else(recording:
     with subprocess.Popen([sys.executable, "-c", "pass"]) as ended:
         pass
     kept = [
-        folder / f".fused.mcap.mapfusion-{os.getppid()}.partial",  # runs
-        folder / f".other.mcap.mapfusion-{ended.pid}.partial",  # another output's
-        folder / f".fused.mcap.mapfusion-{ended.pid}.partial.bak",
-        folder / ".fused.mcap.mapfusion-x.partial",
+        folder / f".fused.mcap.mapfusion-{os.getppid()}-01234567.partial",  # runs
+        folder / f".other.mcap.mapfusion-{ended.pid}-01234567.partial",  # another output's
+        folder / f".fused.mcap.mapfusion-{ended.pid}-01234567.partial.bak",
+        folder / ".fused.mcap.mapfusion-x-01234567.partial",
     ]
-    left = folder / f".fused.mcap.mapfusion-{ended.pid}.partial"
-    for path in (*kept, left):
+    left = [
+        folder / f".fused.mcap.mapfusion-{ended.pid}-01234567.partial",
+        folder / f".fused.mcap.mapfusion-{os.getpid()}-01234567.partial",  # of a process that had this one's number
+    ]
+    for path in (*kept, *left):
         path.write_bytes(b"half")
     assert command("replay", recording, folder / "fused.mcap", "-q", *FAST).code == 0
     assert sorted(folder.iterdir()) == sorted([*kept, recording, folder / "fused.mcap"])
