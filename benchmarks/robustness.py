@@ -1,4 +1,4 @@
-"""Recall and false joins on pairs of maps with known truth, as they are and with noise, turned or of another resolution.
+"""Recall and false joins on pairs of maps with known truth: as they are, noisy, turned, of another resolution.
 
     python benchmarks/robustness.py PAIRS... --variants flipped-1 flipped-3 jittered
     python benchmarks/robustness.py PAIRS... --variants turned-15 turned-30 turned-45
