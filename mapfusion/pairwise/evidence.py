@@ -18,7 +18,7 @@ import numpy.typing as npt
 from mapfusion.pairwise.poses import Poses, inverse, moved
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import SAME_SIDE_COSINE, encounters
-from mapfusion.pairwise.surface import NOT_KNOWN, Floats, Indices, SurfaceField
+from mapfusion.pairwise.surface import NOT_KNOWN, Floats, Indices, Surface, SurfaceField
 
 TOLERANCES_CELLS = (1.5, 3.0, 6.0)
 DEPENDENT_CELLS = 12.0
@@ -182,12 +182,12 @@ def _direction(field: SurfaceField, other: PreparedMap, poses: Poses, num_points
     area_depth = field.depth.ravel().take(area_cells)
     area_known = area_depth != NOT_KNOWN
     hit = field.nearest.ravel().take(area_cells)
-    wall = field.walls.take(hit, axis=1)
+    wall = field.walls[:2].take(hit, axis=1)
     squared = np.square(area[:, 0] - wall[0]) + np.square(area[:, 1] - wall[1])
     near = [area_known & (squared <= t * t) for t in TOLERANCES_CELLS]
     area_deep = [area_known & (area_depth > t) & (squared > t * t) for t in far]
     num_area = np.maximum(area_known.sum(axis=-1), 1)
-    alike = _chance_of_same_side(wall[2:], near[-1], surface.normals, poses, known)
+    alike = _chance_of_same_side(field.surface, hit, near[-1], surface, poses, known)
 
     weight = agrees[1].astype(np.float32)
     return _Direction(
@@ -204,31 +204,45 @@ def _direction(field: SurfaceField, other: PreparedMap, poses: Poses, num_points
 
 
 def _chance_of_same_side(
-    there: Floats, near: npt.NDArray[np.bool_], here: Floats, poses: Poses, known: npt.NDArray[np.bool_]
+    there: Surface,
+    hit: Indices,
+    near: npt.NDArray[np.bool_],
+    here: Surface,
+    poses: Poses,
+    known: npt.NDArray[np.bool_],
 ) -> Figures:
     """(K,) probability that a wall of the mutual area and the wall near a random cell of it face alike.
 
     Args:
-        there: (2, K, A) normals of the walls near the cells of the mutual area.
-        near: (K, A) which of those cells are near a wall.
-        here: (N, 2) normals of the other map's walls.
+        there: One map's walls.
+        hit: (K, A) which of them is nearest to each cell of the mutual area.
+        near: (K, A) which of those cells are near it.
+        here: N walls of the other map.
         poses: (K, 3).
-        known: (K, N) which of the other map's walls lie in the mutual area.
+        known: (K, N) which of `here` lie in the mutual area.
     """
-    step = 2.0 * np.pi / DIRECTION_BINS
-    target_bins = np.floor(np.arctan2(there[1], there[0]) / step + 0.5).astype(np.int64)
-    source_bins = np.floor((np.arctan2(here[:, 1], here[:, 0]) + poses[:, 2, None]) / step + 0.5).astype(np.int64)
-    target_share, source_share = _histograms(target_bins, near), _histograms(source_bins, known)
-    alike = np.flatnonzero(np.cos(np.arange(DIRECTION_BINS) * step) > SAME_SIDE_COSINE - 1e-6)
+    target_bins = np.floor(_bins(there) + 0.5).astype(np.int32) % DIRECTION_BINS
+    turns = poses[:, 2, None] * (DIRECTION_BINS / (2.0 * np.pi))
+    source_bins = np.floor(_bins(here) + (turns + 0.5)).astype(np.int32) % DIRECTION_BINS
+    target_share = _histograms(target_bins.take(hit), near)
+    source_share = _histograms(source_bins, known)
+    alike = np.flatnonzero(np.cos(np.arange(DIRECTION_BINS) * (2.0 * np.pi / DIRECTION_BINS)) > SAME_SIDE_COSINE - 1e-6)
     window = sum(np.roll(target_share, k, axis=-1) for k in alike)
     result: Figures = (window * source_share).sum(axis=-1)
     return result
 
 
-def _histograms(bins: Indices | npt.NDArray[np.int64], mask: npt.NDArray[np.bool_]) -> Figures:
-    """(K, DIRECTION_BINS) shares of the masked (K, N) bins, counted modulo DIRECTION_BINS."""
+def _bins(surface: Surface) -> Figures:
+    """(N,) direction of each wall's normal in bins, not whole ones."""
+    angles = np.arctan2(surface.normals[:, 1], surface.normals[:, 0]).astype(np.float64)
+    bins: Figures = angles * (DIRECTION_BINS / (2.0 * np.pi))
+    return bins
+
+
+def _histograms(bins: Indices, mask: npt.NDArray[np.bool_]) -> Figures:
+    """(K, DIRECTION_BINS) shares of the masked (K, N) bins."""
     rows = len(mask)
-    at = bins % DIRECTION_BINS + np.arange(rows)[:, None] * DIRECTION_BINS
+    at = bins + np.arange(rows, dtype=np.int32)[:, None] * DIRECTION_BINS
     counts = np.bincount(at[mask], minlength=rows * DIRECTION_BINS).reshape(rows, DIRECTION_BINS)
     shares: Figures = counts / np.maximum(counts.sum(axis=-1, keepdims=True), 1)
     return shares

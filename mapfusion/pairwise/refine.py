@@ -17,6 +17,8 @@ from mapfusion.pairwise.surface import Floats, Indices, Surface, SurfaceField
 
 SAME_SIDE_COSINE = 0.5
 """Normals within 60 degrees count as one wall seen from one side."""
+SETTLED = 1e-3
+"""Steps below this, in cells and radians, change nothing any more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +98,10 @@ def refine(
         information, gradient = information + more, gradient + more_gradient
         # A corridor fixes nothing along itself: without damping its pose would run away there.
         damping = 1e-4 * (information[:, 0, 0] + information[:, 1, 1])[:, None, None] * np.eye(3) + 1e-3 * np.eye(3)
-        about = about - np.linalg.solve(information + damping, gradient[..., None])[..., 0]
+        step = np.linalg.solve(information + damping, gradient[..., None])[..., 0]
+        about = about - step
+        if reach == reaches[-1] and np.abs(step).max() < SETTLED:
+            break
     return _about_corner(about, centre), information * share
 
 
