@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mapfusion.grid import OccupancyGrid, crop_to_known
-from mapfusion.pairwise.poses import Poses, moved
+from mapfusion.pairwise.poses import Poses, differ, moved
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.search import examine, propose
+from mapfusion.pairwise.search import DISTINCT_DEGREES, Candidate, distinct_cells, examine, propose, refine_and_rank
 from mapfusion.pairwise.voting import match
 from mapfusion.pipeline import replay
 from mapfusion.steps import Event, FusionStep, GridEvent
@@ -59,11 +59,25 @@ def method_pictures(target_grid: OccupancyGrid, source_grid: OccupancyGrid) -> d
     hypotheses = propose(target, source, matches)
     found = examine(target, source, hypotheses, matches)
     rims = [titled(rim_picture(one), name) for one, name in ((target, "robot1"), (source, "robot2"))]
-    overlays = [titled(overlay(target, source, found.pose), f"best: {found.figures['net']:.0f} of net evidence")]
-    if found.rival is not None and found.rival_net is not None:
-        overlays.append(titled(overlay(target, source, found.rival), f"rival: {found.rival_net:.0f}"))
-    votes = titled(hypotheses_picture(target, source, hypotheses, found.pose), f"{len(hypotheses)} hypotheses")
+    elsewhere = hypotheses[is_apart(target, source, found.best.pose, hypotheses)]
+    others = refine_and_rank(target, source, elsewhere)
+    wrong = next(one for one in others if is_apart(target, source, found.best.pose, one.pose[None])[0])
+    overlays = [
+        titled(overlay(target, source, one.pose), f"{name}: evidence {one.figures['net']:.0f}, {walls(one)}")
+        for name, one in (("best", found.best), ("elsewhere", wrong))
+    ]
+    votes = titled(hypotheses_picture(target, source, hypotheses, found.best.pose), f"{len(hypotheses)} hypotheses")
     return {"method_rim": beside(rims), "method_hypotheses": votes, "method_evidence": beside(overlays)}
+
+
+def is_apart(target: PreparedMap, source: PreparedMap, best: Poses, others: Poses) -> npt.NDArray[np.bool_]:
+    """Which poses are answers of their own."""
+    return differ(best, others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
+
+
+def walls(one: Candidate) -> str:
+    """What the closer look found of a candidate, in short."""
+    return f"{one.figures['lines']:.0f} walls, {one.figures['crossing_cells']:.0f} cells across"
 
 
 def rim_picture(one: PreparedMap) -> Image:
