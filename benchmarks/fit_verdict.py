@@ -33,14 +33,14 @@ from mapfusion.pairwise.confidence import (
     CONFIDENCE,
     PLAUSIBILITY,
     confidence_terms,
-    distinctness,
+    margin,
     plausibility,
     plausibility_terms,
 )
 from mapfusion.pairwise.default import prepare
 from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.poses import Poses, differ, to_se2
-from mapfusion.pairwise.verdict import MIN_CONFIDENCE, MIN_MARGIN, too_little
+from mapfusion.pairwise.verdict import MIN_CONFIDENCE, MIN_MARGIN, SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE, too_little
 from mapfusion.pairwise.voting import match
 from mapfusion.transform import SE2, FloatArray
 
@@ -278,7 +278,7 @@ def table(all_judged: Sequence[Judged]) -> tuple[FloatArray, npt.NDArray[np.bool
         assert one.is_apart is not None
         rivals = [one.figures[k] for k in range(1, len(one.figures)) if one.is_apart[0, k]]
         rival = max(rivals, key=plausibility, default=None)
-        rows.append(list(confidence_terms(one.figures[0], *distinctness(one.figures[0], rival)).values()))
+        rows.append(list(confidence_terms(one.figures[0], margin(one.figures[0], rival)).values()))
         right.append(one.is_right[0])
         counts.append(not one.is_near[0])
     return np.array(rows), np.array(right), np.array(counts)
@@ -315,7 +315,8 @@ def report(all_judged: Sequence[Judged]) -> None:
         kept, held = folds != fold, folds == fold
         weights = fit_confidence(terms[kept], right[kept], counts[kept])
         sure[held] = 1.0 / (1.0 + np.exp(-(terms[held] @ weights)))
-    joined = sure >= MIN_CONFIDENCE
+    shared = np.array([one.figures[0]["mutual_ratio"] for one in all_judged])
+    joined = sure >= np.where(shared < SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE, MIN_CONFIDENCE)
     joined &= np.array([one.figures[0]["net"] >= MIN_EVIDENCE for one in all_judged])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= MIN_MARGIN
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])

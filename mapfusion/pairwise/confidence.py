@@ -15,24 +15,25 @@ PLAUSIBILITY = {"net": 0.902, "crossing": -1.315, "lines": 1.486, "gain": 1.647}
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -11.162,
-    "net": 0.778,
-    "gain": 0.627,
+    "bias": -11.637,
+    "net": 0.932,
+    "gain": 0.484,
     "lines": 2.557,
-    "crossing": -3.388,
-    "margin": 0.917,
-    "ratio": 0.248,
-    "residual": -0.241,
-    "opposite": -19.668,
-    "disagreement": 0.893,
-    "overlap": 2.428,
-    "outside": 6.271,
-    "conditioning": 0.608,
+    "crossing": -3.748,
+    "margin": 0.891,
+    "residual": -0.325,
+    "opposite": -17.020,
+    "disagreement": 0.577,
+    "overlap": 3.218,
+    "outside": 8.718,
+    "conditioning": 1.006,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 
-MAX_MARGIN, MAX_LOG_RATIO = 4.0, 2.0
-"""Plausibility and logarithm of net evidence over a rival's from which on it is none."""
+WALL_CELLS = 12.0
+"""So many agreeing cells, of both maps together, count as one wall at most."""
+MAX_MARGIN = 4.0
+"""Plausibility over a rival's from which on it is none."""
 
 
 def plausibility_terms(figures: Figures) -> dict[str, float]:
@@ -50,39 +51,38 @@ def plausibility(figures: Figures) -> float:
     return sum(PLAUSIBILITY[name] * value for name, value in plausibility_terms(figures).items())
 
 
-def distinctness(best: Figures, rival: Figures | None) -> tuple[float, float]:
-    """Margin of plausibility and logarithm of the ratio of net evidence over those of the best different alignment."""
+def margin(best: Figures, rival: Figures | None) -> float:
+    """Plausibility over that of the best different alignment, in [0, MAX_MARGIN]."""
     if rival is None:
-        return MAX_MARGIN, MAX_LOG_RATIO
-    margin = plausibility(best) - plausibility(rival)
-    log_ratio = _log(best["net"]) - _log(rival["net"])
-    return min(max(margin, 0.0), MAX_MARGIN), min(max(log_ratio, -1.0), MAX_LOG_RATIO)
+        return MAX_MARGIN
+    return min(max(plausibility(best) - plausibility(rival), 0.0), MAX_MARGIN)
 
 
-def confidence_terms(figures: Figures, margin: float, log_ratio: float) -> dict[str, float]:
+def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
     """What the confidence is made of; each term is held to the range in which it tells right from wrong."""
     # A run of wall across free space is to be seen against the size of what is compared.
     crossing = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
+    # A wall takes some cells: the rim of one round thing faces many ways and is no building.
+    pieces = figures["ratio"] * figures["num_walls"] / WALL_CELLS
     return {
         "bias": 1.0,
         "net": _log(figures["net"]),
         "gain": _log_gain(figures),
-        "lines": min(_log(figures["lines"]), 3.5),
+        "lines": min(_log(min(figures["lines"], pieces)), 3.5),
         "crossing": math.log1p(crossing),
-        "margin": margin,
-        "ratio": log_ratio,
+        "margin": above_rival,
         "residual": figures["residual_cells"],
         "opposite": figures["opposite"],
         "disagreement": math.log(1.05 - figures["agreement_weaker"]),
         "overlap": math.log(max(figures["mutual_ratio"], 0.01)),
-        "outside": figures["outside"],
+        "outside": min(figures["outside"], 0.7),
         "conditioning": min(max(math.log(max(figures["conditioning"], 1e-3)), -3.5), -1.0),
     }
 
 
-def confidence(figures: Figures, margin: float, log_ratio: float) -> float:
-    """Probability that a pose with these figures, so far above its rival, is right."""
-    terms = confidence_terms(figures, margin, log_ratio)
+def confidence(figures: Figures, above_rival: float) -> float:
+    """Probability that a pose with these figures is right, whose margin over its rival is `above_rival`."""
+    terms = confidence_terms(figures, above_rival)
     return 1.0 / (1.0 + math.exp(-sum(CONFIDENCE[name] * value for name, value in terms.items())))
 
 

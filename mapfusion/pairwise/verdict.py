@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.confidence import MAX_LOG_RATIO, MAX_MARGIN, confidence, distinctness
+from mapfusion.pairwise.confidence import MAX_MARGIN, confidence, margin
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.search import Finding
@@ -23,9 +21,11 @@ MAX_CONTRADICTION = 0.6
 """Most walls in the other map's free space, as a share of what chance would put there."""
 MIN_MARGIN = 0.5
 """Least plausibility over that of the best different alignment: below it the two are the same to us."""
-KNOWN_MARGIN, KNOWN_LOG_RATIO = 3.0, 1.1
+KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
-MIN_CONFIDENCE = 0.8
+MIN_CONFIDENCE = 0.83
+SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE = 0.3, 0.955
+"""Maps that share less than this of the smaller one need more: the less they share, the more ways there are."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
@@ -58,8 +58,7 @@ def judge(
 ) -> PairFusion:
     """The verdict on the best pose that was found, `T_target_source`, and its rival."""
     figures = finding.best.figures
-    margin, log_ratio = _distinctness(finding)
-    trust = confidence(figures, margin, log_ratio)
+    trust = confidence(figures, _margin(finding))
     gate, reason = _refusal(config, finding, trust, cells)
     if gate and gate != "confidence":
         trust = min(trust, REFUSED_CONFIDENCE)
@@ -79,21 +78,24 @@ def judge(
         covariance=_covariance(target, source, finding, T_target_source),
         resolution_m=target.grid.resolution_m,
         rival=rival if gate == "ambiguous" else None,
-        evidence={**figures, "margin": margin, "rival_ratio": math.exp(-log_ratio)},
+        evidence={**figures, "margin": _margin(finding), "rival_ratio": _rival_ratio(finding)},
     )
 
 
-def _distinctness(finding: Finding) -> tuple[float, float]:
-    """Margin and logarithm of the ratio over the rival, as in `distinctness`."""
+def _margin(finding: Finding) -> float:
     if not finding.is_searched:
-        return KNOWN_MARGIN, KNOWN_LOG_RATIO
-    return distinctness(finding.best.figures, None if finding.rival is None else finding.rival.figures)
+        return KNOWN_MARGIN
+    return margin(finding.best.figures, None if finding.rival is None else finding.rival.figures)
+
+
+def _rival_ratio(finding: Finding) -> float:
+    """Net evidence of the rival / that of the best alignment; 0 without a rival."""
+    return 0.0 if finding.rival is None else finding.rival.figures["net"] / max(finding.best.figures["net"], 1.0)
 
 
 def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreement) -> tuple[str, str]:
     """Gate and reason; both empty where nothing speaks against the fusion."""
     figures = finding.best.figures
-    margin, log_ratio = _distinctness(finding)
     agreement = f"{figures['ratio']:.0%} of the walls in the common area agree, {figures['chance']:.0%} would by chance"
     if cells.mae is None:
         return "no overlap", "the best alignment leaves no cell that both maps know"
@@ -111,19 +113,20 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             "walls agree in one direction only: a straight wall or corridor fixes nothing along itself "
             f"(constraint along / across {figures['conditioning']:.3f}, at least {MIN_CONDITIONING} is needed)"
         )
-    without_rival = confidence(figures, MAX_MARGIN, MAX_LOG_RATIO)
-    if margin < MIN_MARGIN or trust < MIN_CONFIDENCE <= without_rival:
+    least = MIN_CONFIDENCE if figures["mutual_ratio"] >= SMALL_OVERLAP else SMALL_OVERLAP_CONFIDENCE
+    without_rival = confidence(figures, MAX_MARGIN)
+    if _margin(finding) < MIN_MARGIN or trust < least <= without_rival:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
-            f"({math.exp(-log_ratio):.2f} of the evidence); the best: {agreement}"
+            f"({_rival_ratio(finding):.2f} of the evidence); the best: {agreement}"
         )
-    if trust < MIN_CONFIDENCE:
+    if trust < least:
         return "confidence", (
-            f"not sure enough ({trust:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, along about "
+            f"not sure enough ({trust:.2f}, at least {least} is needed): {agreement}, along about "
             f"{figures['lines']:.0f} different wall faces; {figures['opposite']:.0%} lie on walls seen from the other "
             f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, the best different alignment has "
-            f"{math.exp(-log_ratio):.2f} of the evidence"
+            f"{_rival_ratio(finding):.2f} of the evidence"
         )
     return "", ""
 

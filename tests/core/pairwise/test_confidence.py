@@ -6,12 +6,11 @@ import pytest
 
 from mapfusion.pairwise.confidence import (
     CONFIDENCE,
-    MAX_LOG_RATIO,
     MAX_MARGIN,
     PLAUSIBILITY,
     confidence,
     confidence_terms,
-    distinctness,
+    margin,
     plausibility,
     plausibility_terms,
 )
@@ -35,7 +34,7 @@ FIGURES = {
 
 def test_every_term_has_a_weight() -> None:
     assert plausibility_terms(FIGURES).keys() == PLAUSIBILITY.keys()
-    assert confidence_terms(FIGURES, 1.0, 1.0).keys() == CONFIDENCE.keys()
+    assert confidence_terms(FIGURES, 1.0).keys() == CONFIDENCE.keys()
 
 
 @pytest.mark.parametrize(
@@ -57,17 +56,23 @@ def test_plausibility_grows_with_what_speaks_for_a_pose(better: dict[str, float]
     ],
 )
 def test_confidence_grows_with_what_speaks_for_a_pose(better: dict[str, float]) -> None:
-    assert confidence(FIGURES | better, 2.0, 1.0) > confidence(FIGURES, 2.0, 1.0)
+    assert confidence(FIGURES | better, 2.0) > confidence(FIGURES, 2.0)
 
 
 def test_a_close_rival_takes_confidence() -> None:
     weak, close = FIGURES | {"net": 5.0, "lines": 4.0, "ratio": 0.3}, FIGURES | {"net": 90.0}
-    assert distinctness(FIGURES, None) == (MAX_MARGIN, MAX_LOG_RATIO)
-    assert distinctness(FIGURES, FIGURES) == (0.0, 0.0)
-    assert confidence(FIGURES, *distinctness(FIGURES, weak)) > confidence(FIGURES, *distinctness(FIGURES, close))
+    assert margin(FIGURES, None) == MAX_MARGIN
+    assert margin(FIGURES, FIGURES) == 0.0
+    assert confidence(FIGURES, margin(FIGURES, weak)) > confidence(FIGURES, margin(FIGURES, close))
 
 
 def test_nothing_at_all_is_no_error_and_no_confidence() -> None:
     nothing = dict.fromkeys(FIGURES, 0.0)
-    assert confidence(nothing, 0.0, 0.0) < 0.001
+    assert confidence(nothing, 0.0) < 0.001
     assert plausibility(nothing) < plausibility(FIGURES)
+
+
+def test_one_round_thing_is_not_many_walls() -> None:
+    thing = FIGURES | {"lines": 20.0, "num_walls": 100.0}
+    assert confidence(thing, 2.0) == pytest.approx(confidence(thing | {"lines": 7.0}, 2.0), abs=0.01)
+    assert confidence(FIGURES | {"lines": 20.0}, 2.0) > confidence(FIGURES | {"lines": 7.0}, 2.0)
