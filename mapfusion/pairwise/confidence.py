@@ -15,18 +15,18 @@ PLAUSIBILITY = {"net": 0.902, "crossing": -1.315, "lines": 1.486, "gain": 1.647}
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -11.637,
-    "net": 0.932,
-    "gain": 0.484,
-    "lines": 2.557,
-    "crossing": -3.748,
-    "margin": 0.891,
-    "residual": -0.325,
-    "opposite": -17.020,
-    "disagreement": 0.577,
-    "overlap": 3.218,
-    "outside": 8.718,
-    "conditioning": 1.006,
+    "bias": -10.538,
+    "net": 1.047,
+    "gain": 0.382,
+    "lines": 2.338,
+    "crossing": -3.594,
+    "margin": 0.850,
+    "residual": -0.276,
+    "opposite": -17.281,
+    "disagreement": 0.510,
+    "overlap": 2.895,
+    "outside": 6.836,
+    "conditioning": 1.082,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 

@@ -23,7 +23,7 @@ MIN_MARGIN = 0.5
 """Least plausibility over that of the best different alignment: below it the two are the same to us."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
-MIN_CONFIDENCE = 0.83
+MIN_CONFIDENCE = 0.82
 SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE = 0.3, 0.955
 """Maps that share less than this of the smaller one need more: the less they share, the more ways there are."""
 REFUSED_CONFIDENCE = 0.5
