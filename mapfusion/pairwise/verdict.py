@@ -114,8 +114,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"(constraint along / across {figures['conditioning']:.3f}, at least {MIN_CONDITIONING} is needed)"
         )
     least = MIN_CONFIDENCE if figures["mutual_ratio"] >= SMALL_OVERLAP else SMALL_OVERLAP_CONFIDENCE
-    without_rival = confidence(figures, MAX_MARGIN)
-    if _margin(finding) < MIN_MARGIN or trust < least <= without_rival:
+    is_close = _margin(finding) < MIN_MARGIN or trust < least <= confidence(figures, MAX_MARGIN)
+    if finding.rival is not None and is_close:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
             f"({_rival_ratio(finding):.2f} of the evidence); the best: {agreement}"
