@@ -337,6 +337,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
+    cv2.setNumThreads(1)  # processes that fork off must not inherit a pool of threads
     rng = np.random.default_rng(args.seed)
     whole = [pair for folder in args.folders for pair in read_pairs(folder)]
     cut = [
