@@ -38,8 +38,8 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig) -> Pair
 def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, config: FusionConfig) -> PairFusion:
     """Refines and judges a transform that is known from before, without looking for another one.
 
-    Whether a different one fits as well was settled when it was found: its distinctness is taken as
-    verdict.KNOWN_DISTINCTNESS.
+    Whether a different one fits as well was settled when it was found: its margin is taken as
+    verdict.KNOWN_MARGIN.
     """
     if target.key > source.key:
         return verify(source, target, T_target_source.inverse(), config).swapped()

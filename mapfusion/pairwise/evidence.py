@@ -39,37 +39,27 @@ class Evidence:
 
     Attributes:
         net: Evidence against chance of both directions, less what contradicts; at the tolerance where it is highest.
-        total: The same before contradictions are taken off.
-        weaker: Evidence of the weaker direction.
         tolerance_cells: The tolerance.
         ratio: Share of the walls in the mutual area that agree.
-        ratio_fine: Share that agrees within the finest tolerance.
         chance: Share that would agree by chance.
         contradiction: Walls deep in the other map's free space / those that would be by chance.
-        contradiction_fine: The same at the finest tolerance.
         num_walls: Wall cells in the mutual area, of both maps.
         mutual_cells: Cells known in both.
         mutual_ratio: The same / known cells of the smaller map.
         conditioning: Smallest / largest eigenvalue of what the agreeing walls say about the translation, [0, 1].
         residual_cells: Root mean square distance of the agreeing points from their walls, cells.
-        spread_cells: Root mean square distance of the agreeing points along their narrower axis, cells.
     """
 
     net: Figures
-    total: Figures
-    weaker: Figures
     tolerance_cells: Figures
     ratio: Figures
-    ratio_fine: Figures
     chance: Figures
     contradiction: Figures
-    contradiction_fine: Figures
     num_walls: Figures
     mutual_cells: Figures
     mutual_ratio: Figures
     conditioning: Figures
     residual_cells: Figures
-    spread_cells: Figures
 
     def of(self, index: int) -> dict[str, float]:
         """The figures of one pose by name."""
@@ -89,7 +79,6 @@ class _Direction:
         mutual: Cells known in both.
         squares: Sum of the squared gaps of the points that agree within the widest tolerance.
         scatter: (K, 2, 2) sum of n n^T over the normals of the agreeing walls.
-        positions: (K, 2, 2) covariance of the agreeing points.
     """
 
     n: Figures
@@ -100,7 +89,6 @@ class _Direction:
     mutual: Figures
     squares: Figures
     scatter: Figures
-    positions: Figures
 
 
 def weigh(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int) -> Evidence:
@@ -122,23 +110,17 @@ def weigh(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: in
     known = min(len(m.area) * m.cells_per_area_sample for m in (target, source))
     # The backward normals are seen from the source; eigenvalues do not mind.
     fixed = np.linalg.eigvalsh(forward.scatter) + np.linalg.eigvalsh(backward.scatter)
-    narrow = np.linalg.eigvalsh(forward.positions) + np.linalg.eigvalsh(backward.positions)
     return Evidence(
         net=net[at],
-        total=total[at],
-        weaker=np.minimum(*each)[at],
         tolerance_cells=np.asarray(TOLERANCES_CELLS)[at[1]],
         ratio=(agreeing / safe)[at],
-        ratio_fine=(agreeing / safe)[:, 0],
         chance=_pooled(forward.chance, backward.chance, forward.n, backward.n)[at],
         contradiction=contradiction[at],
-        contradiction_fine=contradiction[:, 0],
         num_walls=n,
         mutual_cells=mutual,
         mutual_ratio=mutual / max(known, 1.0),
         conditioning=np.maximum(fixed[:, 0], 0.0) / np.maximum(fixed[:, 1], 1e-9),
         residual_cells=np.sqrt((forward.squares + backward.squares) / np.maximum(agreeing[:, -1], 1.0)),
-        spread_cells=np.sqrt(np.maximum(narrow[:, 0] / 2.0, 0.0)),
     )
 
 
@@ -199,7 +181,6 @@ def _direction(field: SurfaceField, other: PreparedMap, poses: Poses, num_points
         mutual=area_known.sum(axis=-1) * other.cells_per_area_sample,
         squares=(np.square(found.gap) * agrees[-1]).sum(axis=-1) * scale,
         scatter=_second_moment(found.lines, weight) * scale,
-        positions=_covariance(found.arms, weight),
     )
 
 
@@ -251,11 +232,3 @@ def _histograms(bins: Indices, mask: npt.NDArray[np.bool_]) -> Figures:
 def _second_moment(vectors: Floats, weight: Floats) -> Figures:
     """(K, 2, 2) sum of weight v v^T over (K, 2, N) vectors."""
     return ((vectors * weight[:, None]) @ vectors.transpose(0, 2, 1)).astype(np.float64)
-
-
-def _covariance(points: Floats, weight: Floats) -> Figures:
-    """(K, 2, 2) weighted covariance of (K, 2, N) points."""
-    mass = np.maximum(weight.sum(axis=-1), 1.0)
-    mean = (points @ weight[..., None])[..., 0] / mass[:, None]
-    covariance: Figures = _second_moment(points - mean[..., None], weight) / mass[:, None, None]
-    return covariance

@@ -18,12 +18,9 @@ from tests.fakes import flat, grid_of, rooms
 
 GOOD = {
     "net": 300.0,
-    "total": 310.0,
     "ratio": 0.9,
-    "ratio_fine": 0.85,
     "chance": 0.05,
     "contradiction": 0.01,
-    "contradiction_fine": 0.01,
     "conditioning": 0.6,
     "mutual_ratio": 0.5,
     "tolerance_cells": 1.5,
