@@ -40,7 +40,14 @@ from mapfusion.pairwise.confidence import (
 from mapfusion.pairwise.default import prepare
 from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.poses import Poses, differ, to_se2
-from mapfusion.pairwise.verdict import MIN_CONFIDENCE, MIN_MARGIN, SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE, too_little
+from mapfusion.pairwise.verdict import (
+    MIN_CONFIDENCE,
+    MIN_MARGIN,
+    SMALL_OVERLAP,
+    SMALL_OVERLAP_CONFIDENCE,
+    SMALL_OVERLAP_EVIDENCE,
+    too_little,
+)
 from mapfusion.pairwise.voting import match
 from mapfusion.transform import SE2, FloatArray
 
@@ -219,18 +226,18 @@ def judge(pair: Pair) -> Judged:
     is_swapped = maps[0].key > maps[1].key
     target, source = reversed(maps) if is_swapped else maps
     matches = match(target.features, source.features)
-    candidates = search.refine_and_rank(target, source, search.propose(target, source, matches))
-    candidates = [search.recheck(target, source, candidates[0].pose).best, *candidates]
+    candidates = search.refine_and_rank(target, source, search.propose(target, source, matches), matches)
+    candidates = [search.recheck(target, source, candidates[0].pose, matches).best, *candidates]
     poses: Poses = np.array([one.pose for one in candidates])
     cells = search.distinct_cells(target, source)
-    apart = [differ(pose, poses, source.centre, cells, search.DISTINCT_DEGREES) for pose in poses]
+    apart = differ(poses, poses, source.centre, cells, search.DISTINCT_DEGREES)
     for one in candidates:
         T = target.grid.T_frame_grid @ to_se2(one.pose, RESOLUTION_M) @ source.grid.T_frame_grid.inverse()
         is_right, is_near = compare(pair, T.inverse() if is_swapped else T)
         judged.figures.append(one.figures)
         judged.is_right.append(is_right)
         judged.is_near.append(is_near)
-    return replace(judged, is_apart=np.array(apart))
+    return replace(judged, is_apart=apart)
 
 
 def compare(pair: Pair, T: SE2) -> tuple[bool, bool]:
@@ -317,7 +324,8 @@ def report(all_judged: Sequence[Judged]) -> None:
         sure[held] = 1.0 / (1.0 + np.exp(-(terms[held] @ weights)))
     shared = np.array([one.figures[0]["mutual_ratio"] for one in all_judged])
     joined = sure >= np.where(shared < SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE, MIN_CONFIDENCE)
-    joined &= np.array([one.figures[0]["net"] >= MIN_EVIDENCE for one in all_judged])
+    net = np.array([one.figures[0]["net"] for one in all_judged])
+    joined &= net >= np.where(shared < SMALL_OVERLAP, SMALL_OVERLAP_EVIDENCE, MIN_EVIDENCE)
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= MIN_MARGIN
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])
     for i, one in enumerate(all_judged):

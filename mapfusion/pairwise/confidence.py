@@ -1,7 +1,8 @@
 """How far an alignment is to be trusted, and by how much one is to be preferred to another: two fitted models.
 
-Both are linear in a few terms of the figures that `evidence` and `scrutiny` give. `benchmarks/fit_verdict.py` fits them
-on pairs with known truth; benchmarks/RESULTS.md says on which, and how they do on buildings that were held out.
+Both are linear in a few terms of the figures that `evidence`, `scrutiny` and `keypoints` give.
+`benchmarks/fit_verdict.py` fits them on pairs with known truth; benchmarks/RESULTS.md says on which, and how they do on
+buildings that were held out.
 """
 
 from __future__ import annotations
@@ -11,38 +12,53 @@ from collections.abc import Mapping
 
 Figures = Mapping[str, float]
 
-PLAUSIBILITY = {"net": 0.902, "crossing": -1.315, "lines": 1.486, "gain": 1.647}
+PLAUSIBILITY = {
+    "net": 0.622,
+    "crossing": -1.093,
+    "lines": 1.053,
+    "gain": 1.138,
+    "inliers_wide": 0.601,
+    "keypoints": 0.936,
+    "inliers_near": 0.646,
+}
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -10.538,
-    "net": 1.047,
-    "gain": 0.382,
-    "lines": 2.338,
-    "crossing": -3.594,
-    "margin": 0.850,
-    "residual": -0.276,
-    "opposite": -17.281,
-    "disagreement": 0.510,
-    "overlap": 2.895,
-    "outside": 6.836,
-    "conditioning": 1.082,
+    "bias": -21.428,
+    "net": 0.290,
+    "gain": 0.803,
+    "lines": 4.029,
+    "run": -0.841,
+    "crossing": -1.584,
+    "margin": 0.645,
+    "opposite": -19.596,
+    "overlap": 2.689,
+    "outside": 7.139,
+    "conditioning": 0.524,
+    "keypoints": 1.089,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 
-WALL_CELLS = 12.0
-"""So many agreeing cells, of both maps together, count as one wall at most."""
+MAX_LINES = 20.0
+"""More walls than these tell no more."""
+MAX_OUTSIDE = 0.7
+"""More walls outside the common area than this tell no more."""
 MAX_MARGIN = 4.0
 """Plausibility over a rival's from which on it is none."""
+KNOWN_KEYPOINTS = 2.5
+"""Taken for a transform that is only verified, whose keypoints were counted when it was found."""
 
 
 def plausibility_terms(figures: Figures) -> dict[str, float]:
     """What the plausibility of a pose with these figures is made of."""
     return {
         "net": _log(figures["net"]),
-        "crossing": math.log(figures["crossing"] + 0.01),
+        "crossing": _log_crossing(figures),
         "lines": _log(figures["lines"]),
         "gain": _log_gain(figures),
+        "inliers_wide": math.log1p(figures["inliers_wide"]),
+        "keypoints": figures["keypoints"],
+        "inliers_near": math.log1p(figures["inliers_near"]),
     }
 
 
@@ -61,22 +77,20 @@ def margin(best: Figures, rival: Figures | None) -> float:
 def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
     """What the confidence is made of; each term is held to the range in which it tells right from wrong."""
     # A run of wall across free space is to be seen against the size of what is compared.
-    crossing = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
-    # A wall takes some cells: the rim of one round thing faces many ways and is no building.
-    pieces = figures["ratio"] * figures["num_walls"] / WALL_CELLS
+    run = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
     return {
         "bias": 1.0,
         "net": _log(figures["net"]),
         "gain": _log_gain(figures),
-        "lines": min(_log(min(figures["lines"], pieces)), 3.5),
-        "crossing": math.log1p(crossing),
+        "lines": _log(min(figures["lines"], MAX_LINES)),
+        "run": math.log1p(run),
+        "crossing": _log_crossing(figures),
         "margin": above_rival,
-        "residual": figures["residual_cells"],
         "opposite": figures["opposite"],
-        "disagreement": math.log(1.05 - figures["agreement_weaker"]),
         "overlap": math.log(max(figures["mutual_ratio"], 0.01)),
-        "outside": min(figures["outside"], 0.7),
+        "outside": min(figures["outside"], MAX_OUTSIDE),
         "conditioning": min(max(math.log(max(figures["conditioning"], 1e-3)), -3.5), -1.0),
+        "keypoints": figures.get("keypoints", KNOWN_KEYPOINTS),
     }
 
 
@@ -88,6 +102,10 @@ def confidence(figures: Figures, above_rival: float) -> float:
 
 def _log(value: float) -> float:
     return math.log(max(value, 1.0))
+
+
+def _log_crossing(figures: Figures) -> float:
+    return math.log(figures["crossing"] + 0.01)
 
 
 def _log_gain(figures: Figures) -> float:

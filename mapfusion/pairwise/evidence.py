@@ -30,6 +30,9 @@ DEEP_TOLERANCES = 2.0
 MIN_DEEP_CHANCE = 0.2
 """Where hardly any free space is wide enough to be deep, contradictions are counted against this share."""
 DIRECTION_BINS = 24
+_BIN_ANGLES = np.arange(DIRECTION_BINS) * (2.0 * np.pi / DIRECTION_BINS)
+FACING_ALIKE = (np.cos(_BIN_ANGLES[:, None] - _BIN_ANGLES) > SAME_SIDE_COSINE - 1e-6).astype(np.float64)
+"""Which bins of direction count as the same side."""
 Figures = npt.NDArray[np.float64]
 
 
@@ -207,9 +210,7 @@ def _chance_of_same_side(
     source_bins = np.floor(_bins(here) + (turns + 0.5)).astype(np.int32) % DIRECTION_BINS
     target_share = _histograms(target_bins.take(hit), near)
     source_share = _histograms(source_bins, known)
-    alike = np.flatnonzero(np.cos(np.arange(DIRECTION_BINS) * (2.0 * np.pi / DIRECTION_BINS)) > SAME_SIDE_COSINE - 1e-6)
-    window = sum(np.roll(target_share, k, axis=-1) for k in alike)
-    result: Figures = (window * source_share).sum(axis=-1)
+    result: Figures = ((target_share @ FACING_ALIKE) * source_share).sum(axis=-1)
     return result
 
 

@@ -46,25 +46,30 @@ def pose_from_centre(theta: npt.NDArray[np.float64], centre_in_target: Poses, ce
     return np.concatenate([centre_in_target - turned, theta[:, None]], -1)
 
 
-def differ(pose: Poses, others: Poses, centre: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:
-    """Which of `others` (K, 3) lie more than `cells` away at the source's `centre` (2,), or more than `degrees`."""
-    point = centre[None].astype(np.float32)
-    gap = moved(others, point)[:, :, 0] - moved(pose[None], point)[0, :, 0]
-    turn = np.abs(np.remainder(others[:, 2] - pose[2] + math.pi, 2 * math.pi) - math.pi)
-    result: npt.NDArray[np.bool_] = (np.hypot(gap[:, 0], gap[:, 1]) > cells) | (turn > math.radians(degrees))
+def differ(poses: Poses, others: Poses, centre: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:
+    """(J, K) which of J `poses` and K `others` differ: by over `cells` at the source's `centre` (2,), or `degrees`."""
+    here, there = (_centre_moved(some, centre) for some in (poses, others))
+    gap = here[:, None] - there
+    turn = np.abs(np.remainder(poses[:, 2, None] - others[:, 2] + math.pi, 2 * math.pi) - math.pi)
+    result: npt.NDArray[np.bool_] = (np.square(gap).sum(axis=-1) > cells**2) | (turn > math.radians(degrees))
     return result
+
+
+def _centre_moved(poses: Poses, centre: Poses) -> Poses:
+    """(K, 2): one point (2,) under each pose."""
+    moved_centre: Poses = rotations(poses) @ centre + poses[:, :2]
+    return moved_centre
 
 
 def distinct(poses: Poses, centre: Poses, cells: float, degrees: float, count: int) -> list[int]:
     """Indices of the first `count` of the poses (K, 3) that do not lie near an earlier one; near as in `differ`."""
     chosen: list[int] = []
+    differs = differ(poses, poses, centre, cells, degrees)
     apart = np.ones(len(poses), np.bool_)
-    for index in range(len(poses)):
-        if apart[index]:
-            chosen.append(index)
-            if len(chosen) == count:
-                break
-            apart &= differ(poses[index], poses, centre, cells, degrees)
+    while len(chosen) < count and apart.any():
+        first = int(apart.argmax())
+        chosen.append(first)
+        apart &= differs[first]
     return chosen
 
 

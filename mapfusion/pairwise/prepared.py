@@ -11,7 +11,16 @@ import numpy as np
 from mapfusion.grid import Mask, OccupancyGrid, crop_to_known, resample
 from mapfusion.pairwise.features import Features, detect
 from mapfusion.pairwise.poses import Poses
-from mapfusion.pairwise.surface import Points, SurfaceField, close_gaps, extract_surface, remove_speckle, surface_field
+from mapfusion.pairwise.surface import (
+    Floats,
+    Points,
+    SurfaceField,
+    distance_to,
+    extract_surface,
+    smooth_walls,
+    surface_field,
+    widen_free,
+)
 
 AREA_SAMPLES = 1500
 """About so many known cells stand for the known area where areas are compared."""
@@ -44,12 +53,17 @@ class PreparedMap:
         """ORB keypoints of the walls, found when they are first asked for: verifying a transform needs none."""
         return detect(self.walls)
 
+    @cached_property
+    def keypoint_distance(self) -> Floats:
+        """(H, W) distance of each cell of the field, as in SurfaceField, to the nearest keypoint, cells."""
+        return distance_to(self.features.points, self.grid.cells.shape)
+
 
 def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
     """Brings one map to `resolution_m`, finds its features and the field of its walls' surface."""
     grid = crop_to_known(resample(grid, resolution_m))
-    walls = remove_speckle(grid.walls)
-    free = close_gaps(walls, grid.free | (grid.walls & ~walls))
+    walls = smooth_walls(grid.walls, grid.free)
+    free = widen_free(walls, grid.free | grid.walls)
     known = grid.known | free
     surface = extract_surface(walls, free)
     area, cells_per_area_sample = _raster(known)
@@ -60,7 +74,7 @@ def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
         area=area,
         cells_per_area_sample=cells_per_area_sample,
         centre=surface.points.mean(axis=0).astype(np.float64) if len(surface) else np.zeros(2),
-        key=hashlib.blake2b(repr(grid.cells.shape).encode() + grid.cells.tobytes(), digest_size=16).digest(),
+        key=hashlib.sha256(grid.cells.tobytes()).digest(),
     )
 
 

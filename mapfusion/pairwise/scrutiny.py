@@ -24,9 +24,10 @@ NEAR_CELLS = 3.0
 """Walls within this meet; a wall deeper than this in free space stands in it."""
 MIN_RUN_CELLS = 8
 """A shorter run of wall across free space may be noise."""
-NUM_DIRECTIONS = 24
-OFFSET_CELLS = 8.0
-"""Walls count as one where their directions and their offsets fall into one bin."""
+NUM_COMPARED = 128
+"""So many agreeing cells are compared with each other to count walls."""
+SAME_WALL_CELLS = 4.0
+"""Standard deviation of the offset of cells of one wall."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +35,9 @@ class Scrutiny:
     """What a closer look finds; shares are of the wall cells in the area known in both maps, in [0, 1].
 
     Attributes:
-        lines: Effective number of walls that agree: (sum n)^2 / sum n^2 over walls of n agreeing cells, the mean of
-            both directions. Source: the participation ratio (inverse Simpson index).
-        agreement_weaker: Share that agrees within NEAR_CELLS, of the map for which it is less.
+        lines: Effective number of walls that agree, the mean of both directions.
+        turning: How firmly the agreeing walls hold the rotation, the mean of both directions: what they fix of it once
+            the translation is free / the mean square of their distance from their middle; 0 for a circle.
         opposite: Share that meets a wall seen from the other side.
         crossing_cells: Longest connected run of wall that crosses the other map's free space, cells.
         crossing: Share that belongs to such runs of at least MIN_RUN_CELLS.
@@ -44,7 +45,7 @@ class Scrutiny:
     """
 
     lines: float
-    agreement_weaker: float
+    turning: float
     opposite: float
     crossing_cells: float
     crossing: float
@@ -61,7 +62,7 @@ def scrutinise(target: SurfaceField, source: SurfaceField, pose: Poses, toleranc
     runs = [run for one in both for run in one.crossing_runs]
     return Scrutiny(
         lines=sum(one.lines for one in both) / 2.0,
-        agreement_weaker=min(one.num_near / max(1, one.num_known) for one in both),
+        turning=sum(one.turning for one in both) / 2.0,
         opposite=sum(one.num_opposite for one in both) / num_known,
         crossing_cells=float(max(runs, default=0)),
         crossing=sum(run for run in runs if run >= MIN_RUN_CELLS) / num_known,
@@ -75,9 +76,9 @@ class _Look:
 
     num_walls: int
     num_known: int
-    num_near: int
     num_opposite: int
     lines: float
+    turning: float
     crossing_runs: list[int]
 
 
@@ -90,12 +91,13 @@ def _look(field: SurfaceField, surface: Surface, pose: Poses, tolerance_cells: f
     cosine = _cosine(found, surface, pose)
     across = known & (depth > NEAR_CELLS) & (squared > NEAR_CELLS**2) & (np.abs(cosine) < SAME_SIDE_COSINE)
     agrees = known & found.same_side[0] & (squared <= tolerance_cells**2)
+    some = Surface(surface.points[agrees], surface.normals[agrees]).thinned(NUM_COMPARED)
     return _Look(
         num_walls=len(surface),
         num_known=int(np.count_nonzero(known)),
-        num_near=int(np.count_nonzero(near & found.same_side[0])),
         num_opposite=int(np.count_nonzero(near & (cosine < -SAME_SIDE_COSINE))),
-        lines=_effective_number(surface.points[agrees], surface.normals[agrees]),
+        lines=_effective_number(some),
+        turning=_hold_on_rotation(some),
         crossing_runs=_runs(surface.points[across]),
     )
 
@@ -121,10 +123,31 @@ def _runs(points: Points) -> list[int]:
     return counts
 
 
-def _effective_number(points: Points, normals: Points) -> float:
-    step = 2.0 * math.pi / NUM_DIRECTIONS
-    direction = np.round(np.arctan2(normals[:, 1], normals[:, 0]) / step).astype(np.int64) % NUM_DIRECTIONS
-    offset = points[:, 0] * np.cos(direction * step) + points[:, 1] * np.sin(direction * step)
-    wall = direction * 2**32 + np.round(offset / OFFSET_CELLS).astype(np.int64)
-    _, cells = np.unique(wall, return_counts=True)
-    return float(np.square(cells.sum()) / max(1.0, float(np.square(cells).sum())))
+def _effective_number(some: Surface) -> float:
+    """How many different walls some cells belong to: 1 / the probability that two of them are of one wall.
+
+    Source: the order-2 diversity of Leinster and Cobbold, Ecology 2012. Two cells are of one wall as far as they were
+    seen from the same side and lie on one line across their mean normal, give or take SAME_WALL_CELLS.
+    """
+    n = len(some)
+    if n < 2:
+        return float(n)
+    (x, y), (nx, ny) = some.points.T, some.normals.T
+    mean_x, mean_y = nx[:, None] + nx, ny[:, None] + ny
+    across = np.square((x[:, None] - x) * mean_x + (y[:, None] - y) * mean_y)
+    length = np.square(mean_x) + np.square(mean_y)
+    # |n + m|^2 = 2 + 2 cos of the angle between unit vectors.
+    is_one = np.exp(across / (length + np.float32(1e-6)) * np.float32(-0.5 / SAME_WALL_CELLS**2))
+    is_one *= length > 2.0 + 2.0 * SAME_SIDE_COSINE
+    return n * (n - 1) / max(float(is_one.sum()) - n, 1e-6)
+
+
+def _hold_on_rotation(some: Surface) -> float:
+    if len(some) < 3:
+        return 0.0
+    arms = some.points - some.points.mean(axis=0)
+    J = np.concatenate([some.normals, (arms[:, 0] * some.normals[:, 1] - arms[:, 1] * some.normals[:, 0])[:, None]], 1)
+    information = (J.T @ J).astype(np.float64)
+    along = information[:2, 2]
+    left = information[2, 2] - along @ np.linalg.solve(information[:2, :2] + 1e-3 * np.eye(2), along)
+    return float(left / max(float(np.square(arms).sum()), 1e-6))

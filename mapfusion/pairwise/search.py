@@ -10,12 +10,13 @@ import numpy as np
 from mapfusion.pairwise.confidence import plausibility
 from mapfusion.pairwise.correlation import correlate
 from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, against_chance, discounted, weigh
+from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, explained, keypoint_agreement
 from mapfusion.pairwise.poses import Poses, differ, distinct, inverse
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import encounters, refine
 from mapfusion.pairwise.scrutiny import scrutinise
 from mapfusion.pairwise.surface import NOT_KNOWN, Surface, SurfaceField
-from mapfusion.pairwise.voting import Matches, count_inliers, vote
+from mapfusion.pairwise.voting import Matches, vote
 
 NUM_VOTED = 60
 NUM_ROTATIONS = 12
@@ -52,7 +53,7 @@ class Candidate:
 
     Attributes:
         pose: (3,) of the source in the target, in cells.
-        figures: Its evidence and what the closer look found, by name.
+        figures: Its evidence, what the closer look found and what keypoints say, by name.
     """
 
     pose: Poses
@@ -98,21 +99,21 @@ def propose(target: PreparedMap, source: PreparedMap, matches: Matches) -> Poses
 
 def examine(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches) -> Finding:
     """The best of the hypotheses, refined, with its evidence and its rival."""
-    candidates = refine_and_rank(target, source, hypotheses)
-    found = recheck(target, source, candidates[0].pose)
+    candidates = refine_and_rank(target, source, hypotheses, matches)
+    found = recheck(target, source, candidates[0].pose, matches)
     others = np.array([one.pose for one in candidates])
-    apart = differ(others[0], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
+    (apart,) = differ(others[:1], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
     return replace(
         found,
         rival=next((one for one, is_apart in zip(candidates, apart, strict=True) if is_apart), None),
         is_searched=True,
         num_matches=len(matches),
-        num_inliers=count_inliers(target.features, source.features, matches, found.best.pose),
+        num_inliers=int(explained(target.features, source.features, matches, found.best.pose, NEAR_INLIER_CELLS).sum()),
         num_keypoints=(len(target.features), len(source.features)),
     )
 
 
-def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses) -> list[Candidate]:
+def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches) -> list[Candidate]:
     """The best few of the hypotheses (K, 3), refined, none of them like another; the most plausible first."""
     assert target.field is not None
     assert source.field is not None
@@ -131,7 +132,7 @@ def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses)
     worth = order[evidence.net[order] >= WORTH_SHARE * most]
     count = NUM_SCRUTINISED if most >= MIN_EVIDENCE else 1
     chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, count)]
-    candidates = [_candidate(target, source, poses[k], evidence, int(k)) for k in chosen]
+    candidates = [_candidate(target, source, poses[k], evidence, int(k), matches) for k in chosen]
     return sorted(candidates, key=lambda one: -one.plausibility)
 
 
@@ -145,8 +146,8 @@ def _slid(target: SurfaceField, source: SurfaceField, pose: Poses, centre: Poses
     return refine(target, source, slid, centre, TIGHT_REACHES, FINE_POINTS)[0]
 
 
-def recheck(target: PreparedMap, source: PreparedMap, pose: Poses) -> Finding:
-    """One pose (3,), refined with every point and weighed, whatever else might fit."""
+def recheck(target: PreparedMap, source: PreparedMap, pose: Poses, matches: Matches | None = None) -> Finding:
+    """One pose (3,), refined with every point and weighed, whatever else might fit; without matches by its walls."""
     assert target.field is not None
     assert source.field is not None
     polished, information = refine(target.field, source.field, pose[None], source.centre, POLISH_REACHES, POLISH_POINTS)
@@ -154,15 +155,20 @@ def recheck(target: PreparedMap, source: PreparedMap, pose: Poses) -> Finding:
     both = weigh(target, source, poses, EVIDENCE_POINTS)
     # A bent map may fit better as it was found from afar than where its nearest walls draw it.
     best = 0 if both.net[0] >= 0.9 * both.net[1] else 1
-    return Finding(_candidate(target, source, poses[best], both, best), information[0])
+    return Finding(_candidate(target, source, poses[best], both, best, matches), information[0])
 
 
-def _candidate(target: PreparedMap, source: PreparedMap, pose: Poses, evidence: Evidence, index: int) -> Candidate:
+def _candidate(
+    target: PreparedMap, source: PreparedMap, pose: Poses, evidence: Evidence, index: int, matches: Matches | None
+) -> Candidate:
     assert target.field is not None
     assert source.field is not None
     figures = evidence.of(index)
     scrutiny = scrutinise(target.field, source.field, pose, figures["tolerance_cells"])
-    return Candidate(pose, figures | asdict(scrutiny))
+    figures |= asdict(scrutiny)
+    if matches is not None:
+        figures |= asdict(keypoint_agreement(target, source, pose, matches, figures["tolerance_cells"]))
+    return Candidate(pose, figures)
 
 
 def distinct_cells(target: PreparedMap, source: PreparedMap) -> float:

@@ -46,7 +46,7 @@ class Surface:
         """About `count` of the points, spread evenly over their order; all of them where there are fewer."""
         if len(self) <= count:
             return self
-        chosen = np.linspace(0, len(self) - 1, count).astype(np.intp)
+        chosen = np.arange(count) * (len(self) - 1) // (count - 1)
         return Surface(self.points[chosen], self.normals[chosen])
 
 
@@ -71,25 +71,30 @@ class SurfaceField:
         """(K, N) flat index of the cell below each of (K, 2, N) points; the field's edge for points outside."""
         height, width = self.nearest.shape
         cells = (points + np.float32(FIELD_MARGIN)).astype(np.int32)
-        flat: Indices = cells[:, 1].clip(0, height - 1) * np.int32(width) + cells[:, 0].clip(0, width - 1)
+        np.maximum(cells, 0, out=cells)
+        flat: Indices = np.minimum(cells[:, 1], height - 1)
+        flat *= width
+        flat += np.minimum(cells[:, 0], width - 1)
         return flat
 
 
-def remove_speckle(walls: Mask) -> Mask:
-    """The walls without islands of fewer than SPECKLE_CELLS cells, and with single-cell holes closed."""
-    solid = walls.astype(np.uint8)
-    around = cv2.boxFilter(solid, cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT) - solid
-    solid |= around >= 7
-    _, labels = cv2.connectedComponents(solid, connectivity=8)
-    cells = np.flatnonzero(solid)
-    islands = labels.ravel()[cells]
-    kept = np.zeros(walls.shape, np.bool_)
-    kept.ravel()[cells[np.bincount(islands)[islands] >= SPECKLE_CELLS]] = True
-    return kept
+def smooth_walls(walls: Mask, free: Mask) -> Mask:
+    """The walls without islands of fewer than SPECKLE_CELLS cells; free pores and notches of up to two cells filled.
+
+    Noise roughens a rim: left as it is, one wall would have more cells, facing more ways, the noisier it is.
+    """
+    count, labels = cv2.connectedComponents(walls.view(np.uint8), connectivity=8)
+    rows, cols = _nonzero(walls.view(np.uint8))
+    sizes = np.bincount(labels[rows, cols], minlength=count)
+    kept = (sizes >= SPECKLE_CELLS).astype(np.uint8)[np.asarray(labels, np.int32)]
+    closed = cv2.morphologyEx(kept, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    smooth: Mask = ((closed & free.view(np.uint8)) | kept).view(np.bool_)
+    return smooth
 
 
-def close_gaps(walls: Mask, free: Mask) -> Mask:
-    """The free space, widened by the single unknown cells that some mappers leave between it and a wall."""
+def widen_free(walls: Mask, free: Mask) -> Mask:
+    """The free space without `walls`, widened by the single unknown cells that some mappers leave before a wall."""
+    free = free & ~walls
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     beside_wall, beside_free = (cv2.dilate(mask.astype(np.uint8), cross) > 0 for mask in (walls, free))
     widened: Mask = free | (beside_wall & beside_free & ~walls)
@@ -100,7 +105,7 @@ def extract_surface(walls: Mask, free: Mask) -> Surface:
     """The rim of `walls` towards `free` (both (H, W) masks), in row-major order."""
     solid = walls.astype(np.uint8)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    rows, cols = np.divmod(np.flatnonzero((cv2.dilate(solid, cross) > 0) & free), free.shape[1])
+    rows, cols = _nonzero(np.asarray(cv2.dilate(solid, cross) & free.view(np.uint8), np.uint8))
     blurred = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), NORMAL_SIGMA, borderType=cv2.BORDER_REPLICATE)
     slope_x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0)[rows, cols]
     slope_y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1)[rows, cols]
@@ -127,6 +132,22 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
     depth |= (near_known == 0) * np.uint8(NOT_KNOWN)
     walls = np.concatenate([surface.points.T, surface.normals.T])
     return SurfaceField(surface, np.ascontiguousarray(walls), order.take(np.asarray(labels)), depth)
+
+
+def distance_to(points: Points, shape: tuple[int, ...]) -> Floats:
+    """Cells from each cell to the nearest of `points` (N, 2), in a map of `shape` and FIELD_MARGIN around it."""
+    m = FIELD_MARGIN
+    elsewhere = np.ones((shape[0] + 2 * m, shape[1] + 2 * m), np.uint8)
+    columns, rows = (points + m).astype(np.int32).T
+    elsewhere[rows.clip(0, elsewhere.shape[0] - 1), columns.clip(0, elsewhere.shape[1] - 1)] = 0
+    return np.asarray(cv2.distanceTransform(elsewhere, cv2.DIST_L2, 3), np.float32)
+
+
+def _nonzero(image: Bytes) -> tuple[Indices, Indices]:
+    """Rows and columns of what is not 0, in row-major order."""
+    found = cv2.findNonZero(image)
+    cells = np.zeros((0, 2), np.int32) if found is None else np.asarray(found, np.int32).reshape(-1, 2)
+    return cells[:, 1], cells[:, 0]
 
 
 def _with_margin(mask: Mask) -> Bytes:

@@ -17,6 +17,8 @@ MIN_WALL_CELLS = 40
 """A map with less wall than this beside free space says nothing."""
 MIN_CONDITIONING = 0.03
 """Least smallest / largest eigenvalue of what the agreeing walls fix of the translation."""
+MIN_TURNING = 0.05
+"""Least hold of the agreeing walls on the rotation: a square has 0.25, a circle drawn in cells 0.003."""
 MAX_CONTRADICTION = 0.6
 """Most walls in the other map's free space, as a share of what chance would put there."""
 MIN_MARGIN = 0.5
@@ -24,8 +26,11 @@ MIN_MARGIN = 0.5
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_CONFIDENCE = 0.82
-SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE = 0.3, 0.955
-"""Maps that share less than this of the smaller one need more: the less they share, the more ways there are."""
+SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE, SMALL_OVERLAP_EVIDENCE = 0.4, 0.905, 70.0
+"""Maps that share less than this of the smaller one need more: the less they share, the more ways there are to share
+it, and two or three things that stand alike in both are no place yet."""
+FEW_LINES, MIN_RATIO_OF_FEW = 6.0, 0.9
+"""Where they share as few walls as one or two things have, nearly all of them must agree."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
@@ -101,19 +106,36 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "no overlap", "the best alignment leaves no cell that both maps know"
     if config.mae_threshold is not None and cells.mae >= config.mae_threshold:
         return "mae", f"mean absolute error {cells.mae:.1f} grey levels, not below {config.mae_threshold:g}"
-    if figures["net"] < MIN_EVIDENCE:
-        return "chance", f"agreement is no better than what a search finds between unrelated maps: {agreement}"
+    is_small = figures["mutual_ratio"] < SMALL_OVERLAP
+    least_evidence = SMALL_OVERLAP_EVIDENCE if is_small else MIN_EVIDENCE
+    if figures["net"] < least_evidence:
+        return "chance", (
+            "agreement is no better than what a search finds between unrelated maps: "
+            f"{agreement} (evidence {figures['net']:.0f}, at least {least_evidence:.0f} is needed "
+            f"with {figures['mutual_ratio']:.0%} of the smaller map in common)"
+        )
     if figures["contradiction"] > MAX_CONTRADICTION:
         return "contradiction", (
             f"walls stand in the other map's free space, {figures['contradiction']:.0%} of what chance would put there "
             f"(at most {MAX_CONTRADICTION:.0%}); {agreement}"
+        )
+    if is_small and figures["lines"] < FEW_LINES and figures["ratio"] < MIN_RATIO_OF_FEW:
+        return "chance", (
+            f"one or two things that stand alike in both maps: about {figures['lines']:.0f} different walls agree and "
+            f"{figures['mutual_ratio']:.0%} of the smaller map is in common, so {MIN_RATIO_OF_FEW:.0%} of the walls "
+            f"would have to; {agreement}"
         )
     if figures["conditioning"] < MIN_CONDITIONING:
         return "one direction", (
             "walls agree in one direction only: a straight wall or corridor fixes nothing along itself "
             f"(constraint along / across {figures['conditioning']:.3f}, at least {MIN_CONDITIONING} is needed)"
         )
-    least = MIN_CONFIDENCE if figures["mutual_ratio"] >= SMALL_OVERLAP else SMALL_OVERLAP_CONFIDENCE
+    if figures["turning"] < MIN_TURNING:
+        return "one direction", (
+            "what agrees is round: it fixes no rotation "
+            f"(hold on the rotation {figures['turning']:.3f}, at least {MIN_TURNING} is needed)"
+        )
+    least = SMALL_OVERLAP_CONFIDENCE if is_small else MIN_CONFIDENCE
     is_close = _margin(finding) < MIN_MARGIN or trust < least <= confidence(figures, MAX_MARGIN)
     if finding.rival is not None and is_close:
         return "ambiguous", (
@@ -123,7 +145,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
     if trust < least:
         return "confidence", (
             f"not sure enough ({trust:.2f}, at least {least} is needed): {agreement}, along about "
-            f"{figures['lines']:.0f} different wall faces; {figures['opposite']:.0%} lie on walls seen from the other "
+            f"{figures['lines']:.0f} different walls; {figures['opposite']:.0%} lie on walls seen from the other "
             f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, the best different alignment has "
             f"{_rival_ratio(finding):.2f} of the evidence"

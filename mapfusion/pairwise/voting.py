@@ -14,13 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from mapfusion.pairwise.features import Features
-from mapfusion.pairwise.poses import Poses, moved, pose_from_centre
+from mapfusion.pairwise.poses import Poses, pose_from_centre
 
 NUM_NEIGHBOURS = 3
 """Repeated corners look alike: the right partner need not be the nearest."""
 MAX_DISTANCE_BITS = 80
 ANGLE_BINS = 60
-INLIER_CELLS = 3.0
 POSITION_BIN = 16.0
 """Edge of a bin of the centre's position, cells."""
 
@@ -63,15 +62,6 @@ def _nearest(query: Features, train: Features) -> npt.NDArray[np.intp]:
     )
     rows, ranks = np.nonzero(bits <= MAX_DISTANCE_BITS)
     return np.stack([rows, index[rows, ranks]], -1).astype(np.intp)
-
-
-def count_inliers(target: Features, source: Features, matches: Matches, pose: Poses) -> int:
-    """How many matches a pose (3,) brings together within INLIER_CELLS."""
-    if not len(matches):
-        return 0
-    there = moved(pose[None], source.points[matches.source])[0]
-    gap = np.linalg.norm(there.T - target.points[matches.target], axis=-1)
-    return int(np.count_nonzero(gap <= INLIER_CELLS))
 
 
 def vote(target: Features, source: Features, matches: Matches, centre: Poses, count: int) -> Poses:

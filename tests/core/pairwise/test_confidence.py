@@ -6,6 +6,7 @@ import pytest
 
 from mapfusion.pairwise.confidence import (
     CONFIDENCE,
+    KNOWN_KEYPOINTS,
     MAX_MARGIN,
     PLAUSIBILITY,
     confidence,
@@ -23,12 +24,13 @@ FIGURES = {
     "crossing": 0.05,
     "crossing_cells": 20.0,
     "num_walls": 2000.0,
-    "residual_cells": 0.8,
     "opposite": 0.05,
-    "agreement_weaker": 0.7,
     "mutual_ratio": 0.4,
     "outside": 0.5,
     "conditioning": 0.1,
+    "keypoints": 2.0,
+    "inliers_near": 20.0,
+    "inliers_wide": 40.0,
 }
 
 
@@ -38,7 +40,17 @@ def test_every_term_has_a_weight() -> None:
 
 
 @pytest.mark.parametrize(
-    "better", [{"net": 200.0}, {"crossing": 0.0}, {"lines": 30.0}, {"ratio": 0.9}, {"chance": 0.05}]
+    "better",
+    [
+        {"net": 200.0},
+        {"crossing": 0.0},
+        {"lines": 30.0},
+        {"ratio": 0.9},
+        {"chance": 0.05},
+        {"keypoints": 3.0},
+        {"inliers_near": 30.0},
+        {"inliers_wide": 60.0},
+    ],
 )
 def test_plausibility_grows_with_what_speaks_for_a_pose(better: dict[str, float]) -> None:
     assert plausibility(FIGURES | better) > plausibility(FIGURES)
@@ -48,8 +60,10 @@ def test_plausibility_grows_with_what_speaks_for_a_pose(better: dict[str, float]
     "better",
     [
         {"net": 200.0},
-        {"lines": 25.0},
+        {"lines": 18.0},
         {"crossing_cells": 0.0},
+        {"crossing": 0.0},
+        {"keypoints": 3.0},
         {"opposite": 0.0},
         {"mutual_ratio": 0.6},
         {"conditioning": 0.3},
@@ -72,7 +86,6 @@ def test_nothing_at_all_is_no_error_and_no_confidence() -> None:
     assert plausibility(nothing) < plausibility(FIGURES)
 
 
-def test_one_round_thing_is_not_many_walls() -> None:
-    thing = FIGURES | {"lines": 20.0, "num_walls": 100.0}
-    assert confidence(thing, 2.0) == pytest.approx(confidence(thing | {"lines": 7.0}, 2.0), abs=0.01)
-    assert confidence(FIGURES | {"lines": 20.0}, 2.0) > confidence(FIGURES | {"lines": 7.0}, 2.0)
+def test_a_transform_that_is_only_verified_needs_no_keypoints() -> None:
+    without = {name: value for name, value in FIGURES.items() if name != "keypoints"}
+    assert confidence(without, 2.0) == confidence(FIGURES | {"keypoints": KNOWN_KEYPOINTS}, 2.0)

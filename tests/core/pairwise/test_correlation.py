@@ -31,7 +31,7 @@ def test_right_pose_is_among_the_best() -> None:
     truth = T_A_B @ corner_b
     pose = np.array([truth.x_m / 0.1, truth.y_m / 0.1, truth.yaw_rad])
     assert len(poses) == 30
-    assert not differ(pose, poses, prepared.centre, 8.0, 3.0).all()
+    assert not differ(pose[None], poses, prepared.centre, 8.0, 3.0).all()
 
 
 def test_likely_rotations_are_all_rotations_the_right_one_early() -> None:

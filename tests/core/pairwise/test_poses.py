@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mapfusion.pairwise.poses import differ, from_se2, inverse, moved, pose_from_centre, to_se2
+from mapfusion.pairwise.poses import differ, distinct, from_se2, inverse, moved, pose_from_centre, to_se2
 from mapfusion.transform import SE2
 
 POSES = np.array([[3.0, -2.0, 0.7], [10.0, 4.0, -3.0]])
@@ -42,11 +42,8 @@ def test_poses_differ_by_distance_at_the_centre_or_by_rotation() -> None:
     base = pose_from_centre(np.zeros(1), centre[None], centre)[0]
     turned = pose_from_centre(np.radians([4.0, 6.0, 358.0]), np.tile(centre, (3, 1)), centre)
     shifted = pose_from_centre(np.zeros(2), centre + np.array([[9.0, 0.0], [11.0, 0.0]]), centre)
-    assert differ(base, np.concatenate([turned, shifted]), centre, 10.0, 5.0).tolist() == [
-        False,
-        True,
-        False,
-        False,
-        True,
-    ]
+    others = np.concatenate([turned, shifted])
+    assert differ(base[None], others, centre, 10.0, 5.0).tolist() == [[False, True, False, False, True]]
+    assert distinct(others, centre, 10.0, 5.0, 5) == [0, 2, 4]
+    assert distinct(others, centre, 10.0, 5.0, 2) == [0, 2]
     assert math.isclose(turned[2, 2], math.radians(358.0))

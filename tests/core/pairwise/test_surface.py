@@ -10,10 +10,11 @@ from mapfusion.pairwise.surface import (
     FIELD_MARGIN,
     NOT_KNOWN,
     SPECKLE_CELLS,
-    close_gaps,
+    distance_to,
     extract_surface,
-    remove_speckle,
+    smooth_walls,
     surface_field,
+    widen_free,
 )
 
 
@@ -44,8 +45,8 @@ def test_single_unknown_cell_between_wall_and_free_is_closed_but_two_are_not() -
     walls = mask("....", "####", "....", "....", "....")
     one_apart = mask("....", "....", "....", "####", "####")
     two_apart = mask("....", "....", "....", "....", "####")
-    assert close_gaps(walls, one_apart)[2].all()
-    np.testing.assert_array_equal(close_gaps(walls, two_apart), two_apart)
+    assert widen_free(walls, one_apart)[2].all()
+    np.testing.assert_array_equal(widen_free(walls, two_apart), two_apart)
 
 
 def test_specks_go_and_walls_stay() -> None:
@@ -54,7 +55,45 @@ def test_specks_go_and_walls_stay() -> None:
     with_noise = walls.copy()
     with_noise[25, 20 : 20 + SPECKLE_CELLS - 1] = True
     with_noise[11, 20] = False
-    np.testing.assert_array_equal(remove_speckle(with_noise), walls)
+    np.testing.assert_array_equal(smooth_walls(with_noise, ~with_noise), walls)
+
+
+def test_a_rough_wall_has_about_as_much_rim_as_a_smooth_one() -> None:
+    walls = np.zeros((120, 120), np.bool_)
+    walls[50:60, 10:110] = True
+    rows, cols = np.nonzero(walls)
+    rng = np.random.default_rng(0)
+    rough = np.zeros_like(walls)
+    rough[rows + rng.integers(-1, 2, len(rows)), cols + rng.integers(-1, 2, len(cols))] = True
+    lengths = []
+    for noisy in (walls, rough):
+        smooth = smooth_walls(noisy, ~noisy)
+        lengths.append(len(extract_surface(smooth, widen_free(smooth, ~noisy))))
+    assert lengths[1] < 1.3 * lengths[0]
+    assert len(extract_surface(rough, ~rough)) > 2 * lengths[0]
+
+
+def test_only_free_cells_are_filled() -> None:
+    walls = np.zeros((20, 20), np.bool_)
+    walls[8:13, 4:16] = True
+    walls[10, 10] = False
+    unknown = np.zeros_like(walls)
+    np.testing.assert_array_equal(smooth_walls(walls, unknown), walls)
+    assert smooth_walls(walls, ~walls)[10, 10]
+
+
+def test_a_filled_cell_is_not_free() -> None:
+    walls = mask("....", "####", "....", "....")
+    assert not widen_free(walls, np.ones_like(walls))[1].any()
+
+
+def test_distance_to_points_reaches_beyond_the_map() -> None:
+    away = distance_to(np.array([[5.5, 3.5], [900.0, 900.0]], np.float32), (10, 20))
+    m = FIELD_MARGIN
+    assert away.shape == (10 + 2 * m, 20 + 2 * m)
+    assert away[3 + m, 5 + m] == 0.0
+    assert away[3 + m, 9 + m] == pytest.approx(4.0, abs=0.5)
+    assert (distance_to(np.zeros((0, 2), np.float32), (10, 20)) > 20.0).all()
 
 
 def test_field_names_the_nearest_point_and_the_depth_of_free_space() -> None:

@@ -11,7 +11,7 @@ from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
-from mapfusion.pairwise.verdict import judge, too_little
+from mapfusion.pairwise.verdict import MIN_CONFIDENCE, judge, too_little
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 from tests.fakes import flat, grid_of, rooms
@@ -27,13 +27,17 @@ GOOD = {
     "residual_cells": 0.5,
     "num_walls": 3000.0,
     "lines": 30.0,
-    "agreement_weaker": 0.85,
+    "turning": 0.4,
     "opposite": 0.01,
     "crossing_cells": 0.0,
     "crossing": 0.0,
     "outside": 0.4,
+    "keypoints": 3.0,
+    "inliers_near": 60.0,
+    "inliers_wide": 100.0,
 }
 AGREEMENT = Agreement(mae=5.0, overlap_cells=10_000, overlap_ratio=0.5, resolution_m=0.1)
+RIVAL_FIGURES = {"ratio": 0.4, "lines": 8.0, "keypoints": 1.0, "inliers_near": 20.0, "inliers_wide": 40.0}
 RIVAL = SE2(1.0, 2.0, 3.0)
 
 
@@ -44,7 +48,7 @@ def place() -> PreparedMap:
 
 def finding(rival_net: float | None = 30.0, **figures: float) -> Finding:
     """A search's finding; one that was only verified where `rival_net` is None."""
-    rival = None if rival_net is None else Candidate(np.zeros(3), GOOD | {"net": rival_net, "ratio": 0.4, "lines": 8.0})
+    rival = None if rival_net is None else Candidate(np.zeros(3), GOOD | RIVAL_FIGURES | {"net": rival_net})
     return Finding(Candidate(np.zeros(3), GOOD | figures), 1000.0 * np.eye(3), rival, rival_net is not None)
 
 
@@ -64,17 +68,23 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
     ("gate", "found"),
     [
         ("chance", finding(net=10.0, rival_net=5.0)),
+        ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3)),
+        ("chance", finding(lines=4.0, ratio=0.8, mutual_ratio=0.3)),
         ("contradiction", finding(contradiction=0.7)),
         ("one direction", finding(conditioning=0.001)),
+        ("one direction", finding(turning=0.01)),
         ("ambiguous", replace(finding(), rival=finding().best)),
-        ("confidence", finding(net=30.0, lines=8.0, rival_net=10.0, crossing_cells=40.0, mutual_ratio=0.05)),
+        (
+            "confidence",
+            finding(net=30.0, lines=4.0, rival_net=10.0, crossing_cells=40.0, crossing=0.1, mutual_ratio=0.5),
+        ),
     ],
 )
 def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, found: Finding) -> None:
     result = judged(place, found)
     assert (result.accepted, result.gate) == (False, gate)
     assert any(c.isdigit() for c in result.reason)
-    assert result.confidence < 0.82
+    assert result.confidence < MIN_CONFIDENCE
     assert (result.rival == RIVAL) == (gate == "ambiguous")
 
 
@@ -87,10 +97,12 @@ def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
     "better",
     [
         {"net": 600.0},
-        {"lines": 30.0},
+        {"lines": 20.0},
         {"mutual_ratio": 0.3},
         {"opposite": 0.0},
         {"crossing_cells": 0.0},
+        {"crossing": 0.0},
+        {"keypoints": 3.0},
         {"conditioning": 0.5},
         {"rival_net": 5.0},
     ],
@@ -102,6 +114,8 @@ def test_confidence_grows_with_every_kind_of_evidence(place: PreparedMap, better
         "mutual_ratio": 0.2,
         "opposite": 0.05,
         "crossing_cells": 20.0,
+        "crossing": 0.05,
+        "keypoints": 1.0,
         "conditioning": 0.1,
         "rival_net": 25.0,
     }

@@ -8,7 +8,7 @@ import numpy as np
 
 from mapfusion.pairwise.features import Features, detect
 from mapfusion.pairwise.poses import moved
-from mapfusion.pairwise.voting import count_inliers, match, vote
+from mapfusion.pairwise.voting import match, vote
 
 
 def features(points: np.ndarray, angles: np.ndarray, seed: int = 0) -> Features:
@@ -31,7 +31,6 @@ def test_votes_of_moved_keypoints_peak_at_the_motion() -> None:
     best = vote(target, source, matches, points.mean(axis=0), 5)[0]
     there, expected = moved(best[None], source.points), moved(pose, source.points)
     assert np.abs(there - expected).max() < 3.0
-    assert count_inliers(target, source, matches, pose[0]) == 60
 
 
 def test_no_features_give_no_hypotheses() -> None:

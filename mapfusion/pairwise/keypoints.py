@@ -1,0 +1,96 @@
+"""How the keypoints of two maps fall together under a pose: evidence of corners beside that of walls.
+
+A corner that one robot saw is a corner in the other's map as well, near the same place and of a like look. The first is
+counted as in `evidence`, against what chance would bring together; the second by the matches that a pose explains.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.pairwise.features import Features
+from mapfusion.pairwise.poses import Poses, inverse, moved
+from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.surface import NOT_KNOWN
+from mapfusion.pairwise.voting import Matches
+
+REPEATED_CELLS = {1.5: 2.0, 3.0: 4.0, 6.0: 8.0}
+"""How near a keypoint of the other map must lie, cells, by the tolerance at which walls agree: maps bend."""
+PRIOR_KEYPOINTS = 6.0
+"""As many keypoints that behave like chance are added to those that are counted."""
+NEAR_INLIER_CELLS, WIDE_INLIER_CELLS = 2.0, 8.0
+MAX_TURN_RAD = 0.5
+"""Most by which the directions of matched keypoints may differ from the pose's."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeypointAgreement:
+    """What keypoints say of a pose.
+
+    Attributes:
+        keypoints: Log-odds that a keypoint in the area known in both has one of the other map beside it, over the
+            log-odds that a random cell of it has.
+        inliers_near: Keypoints of both maps with a match that the pose explains within NEAR_INLIER_CELLS.
+        inliers_wide: The same within WIDE_INLIER_CELLS.
+    """
+
+    keypoints: float
+    inliers_near: int
+    inliers_wide: int
+
+
+def keypoint_agreement(
+    target: PreparedMap, source: PreparedMap, pose: Poses, matches: Matches, tolerance_cells: float
+) -> KeypointAgreement:
+    """Looks at the keypoints of both maps under `pose` (3,) of the source in the target."""
+    radius = REPEATED_CELLS[tolerance_cells]
+    forward = _repeated(target, source, pose, radius)
+    backward = _repeated(source, target, inverse(pose[None])[0], radius)
+    n, k = forward.number + backward.number, forward.repeated + backward.repeated
+    chance = (forward.chance * forward.number + backward.chance * backward.number) / max(n, 1)
+    odds = (k + PRIOR_KEYPOINTS * chance + 1.0) / (n - k + PRIOR_KEYPOINTS * (1.0 - chance) + 1.0)
+    return KeypointAgreement(
+        keypoints=math.log(odds) - math.log((chance + 0.02) / (1.02 - chance)),
+        inliers_near=_inliers(target.features, source.features, matches, pose, NEAR_INLIER_CELLS),
+        inliers_wide=_inliers(target.features, source.features, matches, pose, WIDE_INLIER_CELLS),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Repeated:
+    """One direction: keypoints in the area known in both, how many lie beside one of the other map, share by chance."""
+
+    number: int
+    repeated: int
+    chance: float
+
+
+def _repeated(there: PreparedMap, here: PreparedMap, pose: Poses, radius: float) -> _Repeated:
+    assert there.field is not None
+    depth = there.field.depth.ravel()
+    found = []
+    for points in (here.features.points, here.area):
+        cells = there.field.cells_below(moved(pose[None], points))[0]
+        found.append(there.keypoint_distance.ravel().take(cells[depth.take(cells) != NOT_KNOWN]) <= radius)
+    keypoints, area = found
+    return _Repeated(len(keypoints), int(np.count_nonzero(keypoints)), float(area.mean()) if len(area) else 1.0)
+
+
+def explained(
+    target: Features, source: Features, matches: Matches, pose: Poses, radius: float
+) -> npt.NDArray[np.bool_]:
+    """(M,) which matches `pose` (3,) explains: within `radius` cells, their directions within MAX_TURN_RAD."""
+    gap = moved(pose[None], source.points[matches.source])[0].T - target.points[matches.target]
+    turn = target.angles_rad[matches.target] - source.angles_rad[matches.source] - pose[2]
+    is_like: npt.NDArray[np.bool_] = np.abs(np.remainder(turn + math.pi, 2.0 * math.pi) - math.pi) < MAX_TURN_RAD
+    is_like &= np.square(gap).sum(axis=-1) <= radius**2
+    return is_like
+
+
+def _inliers(target: Features, source: Features, matches: Matches, pose: Poses, radius: float) -> int:
+    is_explained = explained(target, source, matches, pose, radius)
+    return len(np.unique(matches.target[is_explained])) + len(np.unique(matches.source[is_explained]))
