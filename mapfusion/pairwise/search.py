@@ -32,6 +32,8 @@ WIDE_REACHES = (10.0, 10.0, 8.0, 6.0)
 TIGHT_REACHES = (6.0, 5.0, 4.0, 4.0, 3.0, 3.0)
 POLISH_REACHES = (4.0, 3.0, 3.0, 2.5, 2.5, 2.5)
 POLISH_POINTS = 4000
+SLIGHT_CELLS, SLIGHT_DEGREES = 0.5, 0.3
+"""A pose that polishing moves less than this is the same pose."""
 EVIDENCE_POINTS = 1000
 SAME_CELLS = 6.0
 SAME_DEGREES = 4.0
@@ -150,12 +152,13 @@ def recheck(target: PreparedMap, source: PreparedMap, pose: Poses, matches: Matc
     """One pose (3,), refined with every point and weighed, whatever else might fit; without matches by its walls."""
     assert target.field is not None
     assert source.field is not None
-    polished, information = refine(target.field, source.field, pose[None], source.centre, POLISH_REACHES, POLISH_POINTS)
-    poses = np.concatenate([polished, pose[None]])
-    both = weigh(target, source, poses, EVIDENCE_POINTS)
+    poses, information = refine(target.field, source.field, pose[None], source.centre, POLISH_REACHES, POLISH_POINTS)
+    if differ(pose[None], poses, source.centre, SLIGHT_CELLS, SLIGHT_DEGREES).any():
+        poses = np.concatenate([poses, pose[None]])
+    evidence = weigh(target, source, poses, EVIDENCE_POINTS)
     # A bent map may fit better as it was found from afar than where its nearest walls draw it.
-    best = 0 if both.net[0] >= 0.9 * both.net[1] else 1
-    return Finding(_candidate(target, source, poses[best], both, best, matches), information[0])
+    best = 0 if evidence.net[0] >= 0.9 * evidence.net[-1] else 1
+    return Finding(_candidate(target, source, poses[best], evidence, best, matches), information[0])
 
 
 def _candidate(

@@ -83,10 +83,12 @@ def smooth_walls(walls: Mask, free: Mask) -> Mask:
 
     Noise roughens a rim: left as it is, one wall would have more cells, facing more ways, the noisier it is.
     """
-    count, labels = cv2.connectedComponents(walls.view(np.uint8), connectivity=8)
+    _, labels = cv2.connectedComponents(walls.view(np.uint8), connectivity=8)
     rows, cols = _nonzero(walls.view(np.uint8))
-    sizes = np.bincount(labels[rows, cols], minlength=count)
-    kept = (sizes >= SPECKLE_CELLS).astype(np.uint8)[np.asarray(labels, np.int32)]
+    islands = labels[rows, cols]
+    is_speck = np.bincount(islands)[islands] < SPECKLE_CELLS
+    kept = walls.astype(np.uint8)
+    kept[rows[is_speck], cols[is_speck]] = 0
     closed = cv2.morphologyEx(kept, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     smooth: Mask = ((closed & free.view(np.uint8)) | kept).view(np.bool_)
     return smooth
