@@ -60,7 +60,7 @@ def method_pictures(target_grid: OccupancyGrid, source_grid: OccupancyGrid) -> d
     found = examine(target, source, hypotheses, matches)
     rims = [titled(rim_picture(one), name) for one, name in ((target, "robot1"), (source, "robot2"))]
     elsewhere = hypotheses[is_apart(target, source, found.best.pose, hypotheses)]
-    others = refine_and_rank(target, source, elsewhere)
+    others = refine_and_rank(target, source, elsewhere, matches)
     wrong = next(one for one in others if is_apart(target, source, found.best.pose, one.pose[None])[0])
     overlays = [
         titled(overlay(target, source, one.pose), f"{name}: evidence {one.figures['net']:.0f}, {walls(one)}")
@@ -72,12 +72,15 @@ def method_pictures(target_grid: OccupancyGrid, source_grid: OccupancyGrid) -> d
 
 def is_apart(target: PreparedMap, source: PreparedMap, best: Poses, others: Poses) -> npt.NDArray[np.bool_]:
     """Which poses are answers of their own."""
-    return differ(best, others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
+    return differ(best[None], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)[0]
 
 
 def walls(one: Candidate) -> str:
     """What the closer look found of a candidate, in short."""
-    return f"{one.figures['lines']:.0f} walls, {one.figures['crossing_cells']:.0f} cells across"
+    return (
+        f"{one.figures['lines']:.0f} walls, {one.figures['crossing_cells']:.0f} cells across, "
+        f"{one.figures['inliers_wide']:.0f} keypoints"
+    )
 
 
 def rim_picture(one: PreparedMap) -> Image:
