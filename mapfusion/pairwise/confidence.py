@@ -13,29 +13,29 @@ from collections.abc import Mapping
 Figures = Mapping[str, float]
 
 PLAUSIBILITY = {
-    "net": 0.622,
-    "crossing": -1.093,
-    "lines": 1.053,
-    "gain": 1.138,
-    "inliers_wide": 0.601,
-    "keypoints": 0.936,
-    "inliers_near": 0.646,
+    "net": 0.701,
+    "crossing": -1.097,
+    "lines": 1.024,
+    "gain": 1.186,
+    "inliers_wide": 0.592,
+    "keypoints": 0.926,
+    "inliers_near": 0.668,
 }
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -21.428,
-    "net": 0.290,
-    "gain": 0.803,
-    "lines": 4.029,
-    "run": -0.841,
-    "crossing": -1.584,
-    "margin": 0.645,
-    "opposite": -19.596,
-    "overlap": 2.689,
-    "outside": 7.139,
-    "conditioning": 0.524,
-    "keypoints": 1.089,
+    "bias": -21.543,
+    "net": 0.307,
+    "gain": 0.800,
+    "lines": 4.122,
+    "run": -1.025,
+    "crossing": -1.567,
+    "margin": 0.598,
+    "opposite": -22.171,
+    "overlap": 2.778,
+    "outside": 7.422,
+    "conditioning": 0.435,
+    "keypoints": 1.177,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 

@@ -17,6 +17,7 @@ from mapfusion.pairwise.surface import (
     SurfaceField,
     distance_to,
     extract_surface,
+    remove_speckle,
     smooth_walls,
     surface_field,
     widen_free,
@@ -32,7 +33,7 @@ class PreparedMap:
 
     Attributes:
         grid: The map at the resolution of the comparison, cropped to what it knows.
-        walls: (H, W) mask of its walls without noise.
+        walls: (H, W) mask of its walls without noise, as they are: smoothed ones lose keypoints.
         field: The rim of its walls as a field; None where it has no wall beside free space.
         area: (N, 2) float32 centres of known cells on a regular raster, cells.
         cells_per_area_sample: Known cells that each of `area` stands for.
@@ -62,10 +63,11 @@ class PreparedMap:
 def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
     """Brings one map to `resolution_m`, finds its features and the field of its walls' surface."""
     grid = crop_to_known(resample(grid, resolution_m))
-    walls = smooth_walls(grid.walls, grid.free)
-    free = widen_free(walls, grid.free | grid.walls)
+    walls = remove_speckle(grid.walls)
+    smooth = smooth_walls(walls, grid.free)
+    free = widen_free(smooth, grid.free | grid.walls)
     known = grid.known | free
-    surface = extract_surface(walls, free)
+    surface = extract_surface(smooth, free)
     area, cells_per_area_sample = _raster(known)
     return PreparedMap(
         grid=grid,

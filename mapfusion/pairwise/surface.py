@@ -78,19 +78,24 @@ class SurfaceField:
         return flat
 
 
-def smooth_walls(walls: Mask, free: Mask) -> Mask:
-    """The walls without islands of fewer than SPECKLE_CELLS cells; free pores and notches of up to two cells filled.
-
-    Noise roughens a rim: left as it is, one wall would have more cells, facing more ways, the noisier it is.
-    """
+def remove_speckle(walls: Mask) -> Mask:
+    """The walls without islands of fewer than SPECKLE_CELLS cells."""
     _, labels = cv2.connectedComponents(walls.view(np.uint8), connectivity=8)
     rows, cols = _nonzero(walls.view(np.uint8))
     islands = labels[rows, cols]
     is_speck = np.bincount(islands)[islands] < SPECKLE_CELLS
-    kept = walls.astype(np.uint8)
-    kept[rows[is_speck], cols[is_speck]] = 0
-    closed = cv2.morphologyEx(kept, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    smooth: Mask = ((closed & free.view(np.uint8)) | kept).view(np.bool_)
+    kept = walls.copy()
+    kept[rows[is_speck], cols[is_speck]] = False
+    return kept
+
+
+def smooth_walls(walls: Mask, free: Mask) -> Mask:
+    """The walls, free pores and notches of up to two cells in them filled.
+
+    Noise roughens a rim: left as it is, one wall would have more cells, facing more ways, the noisier it is.
+    """
+    closed = cv2.morphologyEx(walls.view(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).view(np.bool_)
+    smooth: Mask = (closed & free) | walls
     return smooth
 
 

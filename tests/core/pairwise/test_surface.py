@@ -12,6 +12,7 @@ from mapfusion.pairwise.surface import (
     SPECKLE_CELLS,
     distance_to,
     extract_surface,
+    remove_speckle,
     smooth_walls,
     surface_field,
     widen_free,
@@ -54,8 +55,15 @@ def test_specks_go_and_walls_stay() -> None:
     walls[10:13, 5:35] = True
     with_noise = walls.copy()
     with_noise[25, 20 : 20 + SPECKLE_CELLS - 1] = True
-    with_noise[11, 20] = False
-    np.testing.assert_array_equal(smooth_walls(with_noise, ~with_noise), walls)
+    np.testing.assert_array_equal(remove_speckle(with_noise), walls)
+
+
+def test_pores_of_a_wall_are_filled() -> None:
+    walls = np.zeros((40, 40), np.bool_)
+    walls[10:13, 5:35] = True
+    porous = walls.copy()
+    porous[11, 20] = porous[12, 8] = False
+    np.testing.assert_array_equal(smooth_walls(porous, ~porous), walls)
 
 
 def test_a_rough_wall_has_about_as_much_rim_as_a_smooth_one() -> None:
