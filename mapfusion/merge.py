@@ -104,7 +104,8 @@ def _log_odds(layers: Sequence[Layer], shape: tuple[int, int]) -> Cells:
         evidence[layer.box] += np.asarray(cv2.LUT(layer.cells.view(np.uint8), _EVIDENCE), np.int32)
         num_known[layer.box] += layer.cells != UNKNOWN
     cells = _highest(layers, shape)
-    np.copyto(cells, _PERCENT.take(evidence, mode="clip"), where=num_known > 1)
+    shared = np.flatnonzero(num_known > 1)
+    cells.ravel()[shared] = _PERCENT.take(evidence.ravel().take(shared), mode="clip")
     return cells
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import cv2
+
 from mapfusion.config import FusionConfig, ReplayConfig
 from mapfusion.errors import ConfigError, LogReadError
 from mapfusion.pipeline import replay
@@ -95,6 +97,7 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
         MissionError: No map, or one robot only.
     """
     started_s = time.perf_counter()
+    cv2.setNumThreads(1)  # --jobs says how many cores are used; on maps OpenCV's own threads cost more than they gain
     _refuse_output_that_is_input(job)
     existing(job.inputs)
     refuse_target(job.output, force=job.force)  # before the reading, which may take long
