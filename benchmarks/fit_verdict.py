@@ -43,6 +43,7 @@ from mapfusion.pairwise.poses import Poses, differ, to_se2
 from mapfusion.pairwise.verdict import (
     MIN_CONFIDENCE,
     MIN_MARGIN,
+    SLIDING_MARGIN,
     SMALL_OVERLAP,
     SMALL_OVERLAP_CONFIDENCE,
     SMALL_OVERLAP_EVIDENCE,
@@ -326,7 +327,8 @@ def report(all_judged: Sequence[Judged]) -> None:
     joined = sure >= np.where(shared < SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE, MIN_CONFIDENCE)
     net = np.array([one.figures[0]["net"] for one in all_judged])
     joined &= net >= np.where(shared < SMALL_OVERLAP, SMALL_OVERLAP_EVIDENCE, MIN_EVIDENCE)
-    joined &= terms[:, list(CONFIDENCE).index("margin")] >= MIN_MARGIN
+    sliding = np.array([one.figures[0]["conditioning"] < search.SLIDING_CONDITIONING for one in all_judged])
+    joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])
     for i, one in enumerate(all_judged):
         for k, value in enumerate((1, right[i], right[i] and joined[i], joined[i] and not right[i] and counts[i])):

@@ -9,7 +9,7 @@ from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.confidence import MAX_MARGIN, confidence, margin
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap
-from mapfusion.pairwise.search import Finding
+from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2, FloatArray
 
@@ -21,8 +21,9 @@ MIN_TURNING = 0.05
 """Least hold of the agreeing walls on the rotation: a square has 0.25, a circle drawn in cells 0.003."""
 MAX_CONTRADICTION = 0.6
 """Most walls in the other map's free space, as a share of what chance would put there."""
-MIN_MARGIN = 0.5
-"""Least plausibility over that of the best different alignment: below it the two are the same to us."""
+MIN_MARGIN, SLIDING_MARGIN = 0.5, 2.0
+"""Least plausibility over that of the best different alignment: below it the two are the same to us. The second where
+the walls hold one direction so weakly that the pose may slide."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_CONFIDENCE = 0.82
@@ -136,7 +137,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"(hold on the rotation {figures['turning']:.3f}, at least {MIN_TURNING} is needed)"
         )
     least = SMALL_OVERLAP_CONFIDENCE if is_small else MIN_CONFIDENCE
-    is_close = _margin(finding) < MIN_MARGIN or trust < least <= confidence(figures, MAX_MARGIN)
+    least_margin = SLIDING_MARGIN if figures["conditioning"] < SLIDING_CONDITIONING else MIN_MARGIN
+    is_close = _margin(finding) < least_margin or trust < least <= confidence(figures, MAX_MARGIN)
     if finding.rival is not None and is_close:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "

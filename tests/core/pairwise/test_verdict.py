@@ -88,6 +88,14 @@ def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, fo
     assert (result.rival == RIVAL) == (gate == "ambiguous")
 
 
+def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: PreparedMap) -> None:
+    close = {"net": 200.0, "lines": 20.0, "keypoints": 2.7, "inliers_near": 45.0, "inliers_wide": 80.0}
+    rival = Candidate(np.zeros(3), GOOD | close)
+    assert judged(place, replace(finding(), rival=rival)).accepted
+    assert judged(place, replace(finding(conditioning=0.1), rival=rival)).gate == "ambiguous"
+    assert judged(place, finding(conditioning=0.1)).accepted
+
+
 def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
     assert judged(place, finding(), mae_threshold=5.5).accepted
     assert judged(place, finding(), mae_threshold=5.0).gate == "mae"
