@@ -111,7 +111,9 @@ def replay(
         bool, typer.Option("--include-inputs", help="Copy the recordings' own channels beside the results.")
     ] = False,
     compression: Annotated[Compression, typer.Option(help="Compression of the output.")] = Compression.zstd,
-    jobs: Annotated[int, typer.Option(metavar="N", help="Threads that fuse pairs. Never changes the result.")] = 1,
+    jobs: Annotated[
+        int, typer.Option(metavar="N", help="Threads that prepare maps and search pairs. Never changes the result.")
+    ] = 1,
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of everything random.")] = 0,
     max_chunk: MaxChunkOption = MAX_CHUNK_MIB,
     max_map_cells: MaxMapCellsOption = MAX_MAP_CELLS,

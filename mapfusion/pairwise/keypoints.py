@@ -53,10 +53,11 @@ def keypoint_agreement(
     n, k = forward.number + backward.number, forward.repeated + backward.repeated
     chance = (forward.chance * forward.number + backward.chance * backward.number) / max(n, 1)
     odds = (k + PRIOR_KEYPOINTS * chance + 1.0) / (n - k + PRIOR_KEYPOINTS * (1.0 - chance) + 1.0)
+    off = squared_offsets(target.features, source.features, matches, pose)
     return KeypointAgreement(
         keypoints=math.log(odds) - math.log((chance + 0.02) / (1.02 - chance)),
-        inliers_near=_inliers(target.features, source.features, matches, pose, NEAR_INLIER_CELLS),
-        inliers_wide=_inliers(target.features, source.features, matches, pose, WIDE_INLIER_CELLS),
+        inliers_near=_inliers(matches, off <= NEAR_INLIER_CELLS**2),
+        inliers_wide=_inliers(matches, off <= WIDE_INLIER_CELLS**2),
     )
 
 
@@ -80,17 +81,13 @@ def _repeated(there: PreparedMap, here: PreparedMap, pose: Poses, radius: float)
     return _Repeated(len(keypoints), int(np.count_nonzero(keypoints)), float(area.mean()) if len(area) else 1.0)
 
 
-def explained(
-    target: Features, source: Features, matches: Matches, pose: Poses, radius: float
-) -> npt.NDArray[np.bool_]:
-    """(M,) which matches `pose` (3,) explains: within `radius` cells, their directions within MAX_TURN_RAD."""
+def squared_offsets(target: Features, source: Features, matches: Matches, pose: Poses) -> npt.NDArray[np.float32]:
+    """(M,) squared cells by which `pose` (3,) misses each match; infinite where their directions differ too much."""
     gap = moved(pose[None], source.points[matches.source])[0].T - target.points[matches.target]
     turn = target.angles_rad[matches.target] - source.angles_rad[matches.source] - pose[2]
-    is_like: npt.NDArray[np.bool_] = np.abs(np.remainder(turn + math.pi, 2.0 * math.pi) - math.pi) < MAX_TURN_RAD
-    is_like &= np.square(gap).sum(axis=-1) <= radius**2
-    return is_like
+    is_like = np.abs(np.remainder(turn + math.pi, 2.0 * math.pi) - math.pi) < MAX_TURN_RAD
+    return np.where(is_like, np.square(gap).sum(axis=-1), np.float32(np.inf))
 
 
-def _inliers(target: Features, source: Features, matches: Matches, pose: Poses, radius: float) -> int:
-    is_explained = explained(target, source, matches, pose, radius)
+def _inliers(matches: Matches, is_explained: npt.NDArray[np.bool_]) -> int:
     return len(np.unique(matches.target[is_explained])) + len(np.unique(matches.source[is_explained]))

@@ -10,7 +10,7 @@ import numpy as np
 from mapfusion.pairwise.confidence import plausibility
 from mapfusion.pairwise.correlation import correlate
 from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, against_chance, discounted, weigh
-from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, explained, keypoint_agreement
+from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, squared_offsets
 from mapfusion.pairwise.poses import Poses, differ, distinct, inverse
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import encounters, refine
@@ -105,12 +105,13 @@ def examine(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches
     found = recheck(target, source, candidates[0].pose, matches)
     others = np.array([one.pose for one in candidates])
     (apart,) = differ(others[:1], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
+    off = squared_offsets(target.features, source.features, matches, found.best.pose)
     return replace(
         found,
         rival=next((one for one, is_apart in zip(candidates, apart, strict=True) if is_apart), None),
         is_searched=True,
         num_matches=len(matches),
-        num_inliers=int(explained(target.features, source.features, matches, found.best.pose, NEAR_INLIER_CELLS).sum()),
+        num_inliers=int(np.count_nonzero(off <= NEAR_INLIER_CELLS**2)),
         num_keypoints=(len(target.features), len(source.features)),
     )
 

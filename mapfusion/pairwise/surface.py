@@ -126,10 +126,7 @@ def extract_surface(walls: Mask, free: Mask) -> Surface:
 
 def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
     """The field of a surface of at least one point; `free` and `known` are the map's (H, W) masks."""
-    m = FIELD_MARGIN
-    columns, rows = (surface.points[:, i].astype(np.int32) + m for i in (0, 1))
-    elsewhere = np.ones((free.shape[0] + 2 * m, free.shape[1] + 2 * m), np.uint8)
-    elsewhere[rows, columns] = 0
+    elsewhere, rows, columns = _all_but(surface.points, free.shape)
     _, labels = cv2.distanceTransformWithLabels(elsewhere, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     order = np.zeros(len(surface) + 1, np.int32)
     order[labels[rows, columns]] = np.arange(len(surface), dtype=np.int32)
@@ -143,11 +140,19 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
 
 def distance_to(points: Points, shape: tuple[int, ...]) -> Floats:
     """Cells from each cell to the nearest of `points` (N, 2), in a map of `shape` and FIELD_MARGIN around it."""
-    m = FIELD_MARGIN
-    elsewhere = np.ones((shape[0] + 2 * m, shape[1] + 2 * m), np.uint8)
-    columns, rows = (points + m).astype(np.int32).T
-    elsewhere[rows.clip(0, elsewhere.shape[0] - 1), columns.clip(0, elsewhere.shape[1] - 1)] = 0
-    return np.asarray(cv2.distanceTransform(elsewhere, cv2.DIST_L2, 3), np.float32)
+    return np.asarray(cv2.distanceTransform(_all_but(points, shape)[0], cv2.DIST_L2, 3), np.float32)
+
+
+def _all_but(points: Points, shape: tuple[int, ...]) -> tuple[Bytes, Indices, Indices]:
+    """1 but for 0 at the cells of `points`, in a map of `shape` and FIELD_MARGIN around it; their rows and columns.
+
+    What lies beyond the margin counts at its edge.
+    """
+    elsewhere = np.ones((shape[0] + 2 * FIELD_MARGIN, shape[1] + 2 * FIELD_MARGIN), np.uint8)
+    columns, rows = (points + np.float32(FIELD_MARGIN)).astype(np.int32).T
+    rows, columns = rows.clip(0, elsewhere.shape[0] - 1), columns.clip(0, elsewhere.shape[1] - 1)
+    elsewhere[rows, columns] = 0
+    return elsewhere, rows, columns
 
 
 def _nonzero(image: Bytes) -> tuple[Indices, Indices]:

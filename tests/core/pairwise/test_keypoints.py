@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, KeypointAgreement, explained, keypoint_agreement
+from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, KeypointAgreement, keypoint_agreement, squared_offsets
 from mapfusion.pairwise.poses import from_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.voting import match
@@ -42,13 +42,15 @@ def test_a_pose_explains_matches_in_place_and_in_direction(pair: tuple[PreparedM
     target, _ = pair
     matches = match(target.features, target.features)
     own = matches.target == matches.source
-    as_it_is = explained(target.features, target.features, matches, np.zeros(3), NEAR_INLIER_CELLS)
-    shifted = explained(target.features, target.features, matches, np.array([5.0, 0.0, 0.0]), NEAR_INLIER_CELLS)
+    as_it_is = squared_offsets(target.features, target.features, matches, np.zeros(3)) <= NEAR_INLIER_CELLS**2
+    shifted = (
+        squared_offsets(target.features, target.features, matches, np.array([5.0, 0.0, 0.0])) <= NEAR_INLIER_CELLS**2
+    )
     assert as_it_is[own].all()
     assert not shifted[own].any()
     turned = np.array([0.0, 0.0, 0.6])
-    near_corner = own & (np.linalg.norm(target.features.points[matches.source], axis=1) < 3.0)
-    assert not explained(target.features, target.features, matches, turned, NEAR_INLIER_CELLS)[near_corner].any()
+    assert own.any()
+    assert np.isinf(squared_offsets(target.features, target.features, matches, turned)[own]).all()
 
 
 def test_where_nothing_is_in_common_keypoints_say_nothing(pair: tuple[PreparedMap, PreparedMap]) -> None:
