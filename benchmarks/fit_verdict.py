@@ -38,15 +38,14 @@ from mapfusion.pairwise.confidence import (
     plausibility_terms,
 )
 from mapfusion.pairwise.default import prepare
-from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.poses import Poses, differ, to_se2
 from mapfusion.pairwise.verdict import (
     MIN_CONFIDENCE,
     MIN_MARGIN,
+    MIN_RATIO_OF_FEW,
     SLIDING_MARGIN,
-    SMALL_OVERLAP,
-    SMALL_OVERLAP_CONFIDENCE,
-    SMALL_OVERLAP_EVIDENCE,
+    are_few_things,
+    least_evidence,
     too_little,
 )
 from mapfusion.pairwise.voting import match
@@ -218,7 +217,7 @@ def simulated(number: int) -> Iterator[Pair]:
 
 
 def judge(pair: Pair) -> Judged:
-    """Searches a pair and compares every candidate with the truth."""
+    """Searches a pair thoroughly and compares every candidate with the truth."""
     cv2.setNumThreads(1)
     maps = [prepare(grid, RESOLUTION_M) for grid in (pair.a, pair.b)]
     judged = Judged(pair.kind, pair.place)
@@ -227,7 +226,8 @@ def judge(pair: Pair) -> Judged:
     is_swapped = maps[0].key > maps[1].key
     target, source = reversed(maps) if is_swapped else maps
     matches = match(target.features, source.features)
-    candidates = search.refine_and_rank(target, source, search.propose(target, source, matches), matches)
+    hypotheses = search.propose(target, source, matches, search.THOROUGH)
+    candidates = search.refine_and_rank(target, source, hypotheses, matches, search.THOROUGH)
     candidates = [search.recheck(target, source, candidates[0].pose, matches).best, *candidates]
     poses: Poses = np.array([one.pose for one in candidates])
     cells = search.distinct_cells(target, source)
@@ -323,19 +323,19 @@ def report(all_judged: Sequence[Judged]) -> None:
         kept, held = folds != fold, folds == fold
         weights = fit_confidence(terms[kept], right[kept], counts[kept])
         sure[held] = 1.0 / (1.0 + np.exp(-(terms[held] @ weights)))
-    shared = np.array([one.figures[0]["mutual_ratio"] for one in all_judged])
-    joined = sure >= np.where(shared < SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE, MIN_CONFIDENCE)
-    net = np.array([one.figures[0]["net"] for one in all_judged])
-    joined &= net >= np.where(shared < SMALL_OVERLAP, SMALL_OVERLAP_EVIDENCE, MIN_EVIDENCE)
-    sliding = np.array([one.figures[0]["conditioning"] < search.SLIDING_CONDITIONING for one in all_judged])
+    best = [one.figures[0] for one in all_judged]
+    joined = sure >= MIN_CONFIDENCE
+    joined &= np.array([figures["net"] >= least_evidence(figures) for figures in best])
+    joined &= np.array([not are_few_things(f) or f["ratio"] >= MIN_RATIO_OF_FEW for f in best])
+    sliding = np.array([figures["conditioning"] < search.SLIDING_CONDITIONING for figures in best])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])
     for i, one in enumerate(all_judged):
         for k, value in enumerate((1, right[i], right[i] and joined[i], joined[i] and not right[i] and counts[i])):
             rows[one.kind][k] += int(value)
     print("\nplaces held out                pairs  best one right  joined rightly  wrongly")
-    for kind, (number, best, good, bad) in rows.items():
-        print(f"{kind:30} {number:6} {best:15} {good:15} {bad:8}")
+    for kind, (number, found, good, bad) in rows.items():
+        print(f"{kind:30} {number:6} {found:15} {good:15} {bad:8}")
 
 
 def main() -> None:

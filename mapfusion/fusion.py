@@ -55,14 +55,15 @@ class PairFuser:
         else:
             self._default_maps.prepare(wanted, each)
 
-    def fuse(self, target: OccupancyGrid, source: OccupancyGrid) -> PairFusion:
-        """As `fuse_pair`."""
+    def fuse(self, target: OccupancyGrid, source: OccupancyGrid, is_thorough: bool = True) -> PairFusion:
+        """As `fuse_pair`; unless it is to be thorough, what a quick search does not find is not found."""
         resolution_m = max(target.resolution_m, source.resolution_m)
         if self._config.profile == "paper":
             maps = self._paper_maps
             return paper.fuse(maps.of(target, resolution_m), maps.of(source, resolution_m), self._config)
         prepared = self._default_maps
-        return default.fuse(prepared.of(target, resolution_m), prepared.of(source, resolution_m), self._config)
+        maps_there = prepared.of(target, resolution_m), prepared.of(source, resolution_m)
+        return default.fuse(*maps_there, self._config, is_thorough)
 
     def verify(self, target: OccupancyGrid, source: OccupancyGrid, T_target_source: SE2) -> PairFusion:
         """Judges a transform that is known from before, without looking for another one."""

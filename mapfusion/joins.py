@@ -30,6 +30,13 @@ SEARCH_AGAIN_NS = 10_000_000_000
 NEAR_MISS_CONFIDENCE = 0.2
 """A refused pair is searched again when one of its maps has changed its known area by this share, but not before this
 time, unless the refusal was as near as this to a join: young maps grow fast, and share too little yet."""
+THOROUGH_GROWTH = 1.0
+"""A search is thorough where one of the maps has grown by this share since the pair's last thorough search or its
+first one, where it is to confirm a candidate, and where no map changes any more."""
+MAX_THOROUGH = 2
+"""So many searches of a snapshot are thorough."""
+MAX_LAST_THOROUGH = 16
+"""So many of the last snapshot."""
 NUM_TIES = 3
 """So many joins of a robot are followed; with more, every further one costs and adds hardly anything."""
 MAX_SEARCHES = 4
@@ -51,11 +58,13 @@ class Look(NamedTuple):
         pair: The robots, the fusion's target first.
         T_a_b: The transform to verify, None for a search.
         found: The search that found the transform, where it was one.
+        is_thorough: Whether a search that finds nothing is to try everything.
     """
 
     pair: Pair
     T_a_b: SE2 | None
     found: PairFusion | None = None
+    is_thorough: bool = False
 
 
 @dataclass(slots=True)
@@ -67,7 +76,9 @@ class _PairState:
         looked_ns: When that was.
         looked_changed: Cells of the two robots' grids that had changed by then, see `NewestGrid`.
         searched_cells: Known cells of the two grids when it was searched last.
-        is_near_miss: Whether that search came near to a join.
+        thorough_cells: The same of its last thorough search, of its first search before there was one.
+        was_thorough: Whether its last search was thorough.
+        is_near_miss: Whether its last search came near to a join.
         candidate: An accepted fusion that waits for confirmation, and since when.
         is_confirmed: Whether it has it, or needs none.
         edge: The join, while it holds.
@@ -80,6 +91,8 @@ class _PairState:
     looked_ns: int = 0
     looked_changed: tuple[int, int] = (0, 0)
     searched_cells: tuple[int, int] | None = None
+    thorough_cells: tuple[int, int] | None = None
+    was_thorough: bool = False
     is_near_miss: bool = False
     candidate: tuple[PairFusion, int] | None = None
     is_confirmed: bool = False
@@ -95,27 +108,33 @@ class Joins:
 
     Attributes:
         never: Pairs that are not looked at.
+        has_thorough: Whether there is a thorough search.
     """
 
     never: Collection[frozenset[str]] = ()
+    has_thorough: bool = True
     _states: dict[Pair, _PairState] = field(default_factory=dict)
 
     def due(self, snapshot: Snapshot, placements: Mapping[str, Placement]) -> list[Look]:
         """The pairs that are to be looked at, in natural order.
 
         A pair is looked at when enough of a map of it changed: a joined one is verified, as is one whose robots are
-        tied over others while they have few joins; any other is searched, a few pairs at a time. The last snapshot
-        looks at every pair of which anything changed.
+        tied over others while they have few joins; any other is searched, a few pairs at a time, and searched
+        thoroughly when nothing changes any more. The last snapshot looks at every pair of which anything changed.
         """
         held = self.held
         num_ties = Counter(robot for pair in held for robot in pair)
         looks: list[Look] = []
-        searches: list[tuple[float, Look]] = []
+        searches: list[tuple[float, Pair]] = []
         for pair in combinations(sorted(snapshot.grids, key=natural_key), 2):
             state = self._states.setdefault(pair, _PairState())
-            if frozenset(pair) in self.never or state.versions == _versions(pair, snapshot):
+            if frozenset(pair) in self.never:
                 continue
             T_a_b = held[pair].T_a_b if pair in held else _predicted(pair, placements)
+            if state.versions == _versions(pair, snapshot):
+                if T_a_b is None and self.has_thorough and _is_settled(state, snapshot):
+                    searches.append((0.0, pair))
+                continue
             growth = math.inf if state.searched_cells is None else _grown(state.searched_cells, pair, snapshot)
             may_search = state.is_near_miss or snapshot.stamp_ns - state.looked_ns >= SEARCH_AGAIN_NS
             has_grown = growth > GROWTH and (may_search or state.searched_cells is None)
@@ -124,11 +143,17 @@ class Joins:
                 if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
                     looks.append(Look(pair, T_a_b, state.found))
             elif snapshot.is_last or state.candidate is not None or has_grown:
-                searches.append((growth, Look(pair, None)))
-        if not snapshot.is_last:  # the others stay due
-            searches = sorted(searches, key=lambda search: -search[0])[:MAX_SEARCHES]
-        looks += [look for _, look in searches]
+                searches.append((growth, pair))
+        looks += self._searches(searches, snapshot)
         return sorted(looks, key=lambda look: pair_key(look.pair))
+
+    def _searches(self, wanted: list[tuple[float, Pair]], snapshot: Snapshot) -> list[Look]:
+        """The wanted searches that a snapshot has time for, those of which most has changed; the others stay due."""
+        wanted = sorted(wanted, key=lambda search: -search[0])
+        chosen = [pair for _, pair in wanted][: None if snapshot.is_last else MAX_SEARCHES]
+        worth_all = [pair for pair in chosen if self.has_thorough and _is_worth_all(self._states[pair], pair, snapshot)]
+        thorough = worth_all[: MAX_LAST_THOROUGH if snapshot.is_last else MAX_THOROUGH]
+        return [Look(pair, None, is_thorough=pair in thorough) for pair in chosen]
 
     def record(self, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
         """Takes note of a look; says so where a join ended."""
@@ -141,7 +166,9 @@ class Joins:
             state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
             state.is_disputed = fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
             return ""
-        state.searched_cells = _known_cells(look.pair, snapshot)
+        state.searched_cells, state.was_thorough = _known_cells(look.pair, snapshot), look.is_thorough
+        if look.is_thorough or state.thorough_cells is None:
+            state.thorough_cells = state.searched_cells
         self._consider(look.pair, fusion, snapshot)
         return ""
 
@@ -200,6 +227,19 @@ class Joins:
                 self.drop(pair)
                 return f"the join of {pair[0]} and {pair[1]} ends: {fusion.reason}"
         return ""
+
+
+def _is_settled(state: _PairState, snapshot: Snapshot) -> bool:
+    """Whether a pair of which nothing has changed since it was searched in vain is to be searched thoroughly."""
+    waited = snapshot.is_last or snapshot.stamp_ns - state.looked_ns >= SETTLED_NS
+    return waited and not state.was_thorough and state.candidate is None
+
+
+def _is_worth_all(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
+    """Whether a search of the pair is to be thorough."""
+    if snapshot.is_last or state.candidate is not None or state.versions == _versions(pair, snapshot):
+        return True
+    return state.thorough_cells is not None and _grown(state.thorough_cells, pair, snapshot) >= THOROUGH_GROWTH
 
 
 def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:

@@ -40,7 +40,8 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
         ValueError: Events out of order.
     """
     config = config or ReplayConfig()
-    fuser, joins, groups = PairFuser(config.fusion), Joins(config.never), Groups(config.reference)
+    fuser, groups = PairFuser(config.fusion), Groups(config.reference)
+    joins = Joins(config.never, has_thorough=config.fusion.profile == "default")
     priors, maps, poses = Priors(config.priors, config.reference), _MergedMaps(config), _Poses(config.interval_s)
     placements: Mapping[str, Placement] = {}
     with _concurrent_map(config.jobs) as each:
@@ -91,7 +92,9 @@ def _look_at_pairs(
     fuser.forget_all_but(newest.grid for newest in snapshot.grids.values())
 
     def take_all(looks: list[Look]) -> list[PairFusion]:
-        fuser.prepare([(snapshot.grids[a].grid, snapshot.grids[b].grid) for (a, b), _, _ in looks], each)
+        fuser.prepare(
+            [(snapshot.grids[a].grid, snapshot.grids[b].grid) for a, b in (look.pair for look in looks)], each
+        )
         searches = [look for look in looks if look.T_a_b is None]
         found = dict(zip((look.pair for look in searches), each(take, searches), strict=True))
         # Verifying is many small steps: threads would wait for each other longer than they work side by side.
@@ -106,9 +109,9 @@ def _look_at_pairs(
             return too_old
         prior = priors.of_pair(look.pair, snapshot.robots)
         if prior is None:
-            return fuser.fuse(a, b)
+            return fuser.fuse(a, b, look.is_thorough)
         near = checked(fuser.verify(a, b, prior.T_a_b), prior)
-        return near if near.accepted else checked(fuser.fuse(a, b), prior)
+        return near if near.accepted else checked(fuser.fuse(a, b, look.is_thorough), prior)
 
     fusions = {look.pair: fusion for look, fusion in zip(looks, take_all(looks), strict=True)}
     changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks]

@@ -13,32 +13,33 @@ from collections.abc import Mapping
 Figures = Mapping[str, float]
 
 PLAUSIBILITY = {
-    "net": 0.701,
-    "crossing": -1.097,
-    "lines": 1.024,
-    "gain": 1.186,
-    "inliers_wide": 0.592,
-    "keypoints": 0.926,
-    "inliers_near": 0.668,
+    "net": 1.042,
+    "crossing": -1.161,
+    "lines": 1.431,
+    "gain": 1.537,
+    "inliers_wide": 0.327,
+    "keypoints": 1.03,
+    "inliers_near": 0.722,
 }
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -21.543,
-    "net": 0.307,
-    "gain": 0.800,
-    "lines": 4.122,
-    "run": -1.025,
-    "crossing": -1.567,
-    "margin": 0.598,
-    "opposite": -22.171,
-    "overlap": 2.778,
-    "outside": 7.422,
-    "conditioning": 0.435,
-    "keypoints": 1.177,
+    "bias": -25.645,
+    "net": 1.738,
+    "gain": 0.603,
+    "lines": 4.002,
+    "run": -0.959,
+    "crossing": -1.644,
+    "margin": 0.68,
+    "opposite": -15.632,
+    "overlap": 3.297,
+    "outside": 7.438,
+    "keypoints": 0.798,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 
+MAX_NET = 30.0
+"""More evidence than this tells no more: what repeats itself has it too."""
 MAX_LINES = 20.0
 """More walls than these tell no more."""
 MAX_OUTSIDE = 0.7
@@ -80,7 +81,7 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
     run = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
     return {
         "bias": 1.0,
-        "net": _log(figures["net"]),
+        "net": _log(min(figures["net"], MAX_NET)),
         "gain": _log_gain(figures),
         "lines": _log(min(figures["lines"], MAX_LINES)),
         "run": math.log1p(run),
@@ -89,7 +90,6 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
         "opposite": figures["opposite"],
         "overlap": math.log(max(figures["mutual_ratio"], 0.01)),
         "outside": min(figures["outside"], MAX_OUTSIDE),
-        "conditioning": min(max(math.log(max(figures["conditioning"], 1e-3)), -3.5), -1.0),
         "keypoints": figures.get("keypoints", KNOWN_KEYPOINTS),
     }
 

@@ -7,32 +7,36 @@ from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
 from mapfusion.pairwise.poses import Poses, from_se2, to_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.search import Finding, examine, propose, recheck
-from mapfusion.pairwise.voting import match
+from mapfusion.pairwise.search import QUICK, THOROUGH, Effort, Finding, examine, propose, recheck
+from mapfusion.pairwise.voting import Matches, match
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 
 __all__ = ["PreparedMap", "fuse", "prepare", "verify"]
 
 
-def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig) -> PairFusion:
+def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thorough: bool = True) -> PairFusion:
     """Looks for the transform between two prepared maps, and judges it.
 
     Args:
         target: Map into whose frame the source is to be brought.
         source: The other map, prepared at the same resolution.
         config: Thresholds.
+        is_thorough: Whether every rotation is tried where a quick search finds nothing to join by.
 
     Returns:
         The verdict with its evidence. Exchanging the maps gives the inverse: the work is done in one order, by content.
     """
     if target.key > source.key:
-        return fuse(source, target, config).swapped()
+        return fuse(source, target, config, is_thorough).swapped()
     refusal = verdict.too_little(target, source)
     if refusal is not None:
         return refusal
     matches = match(target.features, source.features)
-    return _judged(target, source, config, examine(target, source, propose(target, source, matches), matches))
+    quick = _judged(target, source, config, _searched(target, source, matches, QUICK))
+    if quick.accepted or not is_thorough:
+        return quick
+    return _judged(target, source, config, _searched(target, source, matches, THOROUGH))
 
 
 def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, config: FusionConfig) -> PairFusion:
@@ -49,6 +53,10 @@ def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, confi
     between_corners = target.grid.T_frame_grid.inverse() @ T_target_source @ source.grid.T_frame_grid
     known = from_se2(between_corners, target.grid.resolution_m)
     return _judged(target, source, config, recheck(target, source, known))
+
+
+def _searched(target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort) -> Finding:
+    return examine(target, source, propose(target, source, matches, effort), matches, effort)
 
 
 def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, finding: Finding) -> PairFusion:

@@ -48,14 +48,14 @@ def pose_from_centre(theta: npt.NDArray[np.float64], centre_in_target: Poses, ce
 
 def differ(poses: Poses, others: Poses, centre: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:
     """(J, K) which of J `poses` and K `others` differ: by over `cells` at the source's `centre` (2,), or `degrees`."""
-    here, there = (_centre_moved(some, centre) for some in (poses, others))
+    here, there = (centre_moved(some, centre) for some in (poses, others))
     gap = here[:, None] - there
     turn = np.abs(np.remainder(poses[:, 2, None] - others[:, 2] + math.pi, 2 * math.pi) - math.pi)
     result: npt.NDArray[np.bool_] = (np.square(gap).sum(axis=-1) > cells**2) | (turn > math.radians(degrees))
     return result
 
 
-def _centre_moved(poses: Poses, centre: Poses) -> Poses:
+def centre_moved(poses: Poses, centre: Poses) -> Poses:
     """(K, 2): one point (2,) under each pose."""
     moved_centre: Poses = rotations(poses) @ centre + poses[:, :2]
     return moved_centre
@@ -63,13 +63,15 @@ def _centre_moved(poses: Poses, centre: Poses) -> Poses:
 
 def distinct(poses: Poses, centre: Poses, cells: float, degrees: float, count: int) -> list[int]:
     """Indices of the first `count` of the poses (K, 3) that do not lie near an earlier one; near as in `differ`."""
+    at, theta, radians = centre_moved(poses, centre), poses[:, 2], math.radians(degrees)
     chosen: list[int] = []
-    differs = differ(poses, poses, centre, cells, degrees)
     apart = np.ones(len(poses), np.bool_)
     while len(chosen) < count and apart.any():
         first = int(apart.argmax())
         chosen.append(first)
-        apart &= differs[first]
+        turn = np.abs(np.remainder(theta - theta[first] + math.pi, 2 * math.pi) - math.pi)
+        apart &= (np.square(at - at[first]).sum(axis=-1) > cells**2) | (turn > radians)
+        apart[first] = False
     return chosen
 
 

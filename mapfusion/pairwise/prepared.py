@@ -11,7 +11,9 @@ import numpy as np
 from mapfusion.grid import Mask, OccupancyGrid, crop_to_known, resample
 from mapfusion.pairwise.features import Features, detect
 from mapfusion.pairwise.poses import Poses
+from mapfusion.pairwise.sketch import sketch
 from mapfusion.pairwise.surface import (
+    Bytes,
     Floats,
     Points,
     SurfaceField,
@@ -53,6 +55,12 @@ class PreparedMap:
     def features(self) -> Features:
         """ORB keypoints of the walls, found when they are first asked for: verifying a transform needs none."""
         return detect(self.walls)
+
+    @cached_property
+    def sketch(self) -> Bytes:
+        """(H, W) codes of the field's cells, as in `sketch`; only of maps that have a field."""
+        assert self.field is not None
+        return sketch(self.field)
 
     @cached_property
     def keypoint_distance(self) -> Floats:

@@ -9,25 +9,18 @@ import numpy as np
 
 from mapfusion.pairwise.confidence import plausibility
 from mapfusion.pairwise.correlation import correlate
-from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, against_chance, discounted, weigh
+from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, squared_offsets
-from mapfusion.pairwise.poses import Poses, differ, distinct, inverse
+from mapfusion.pairwise.poses import Poses, differ, distinct
 from mapfusion.pairwise.prepared import PreparedMap
-from mapfusion.pairwise.refine import encounters, refine
+from mapfusion.pairwise.refine import refine
+from mapfusion.pairwise.rough import SAME_CELLS, TIGHT_STEPS, WIDE_STEPS, best_distinct, best_nearby
 from mapfusion.pairwise.scrutiny import scrutinise
-from mapfusion.pairwise.surface import NOT_KNOWN, Surface, SurfaceField
+from mapfusion.pairwise.surface import SurfaceField
 from mapfusion.pairwise.voting import Matches, vote
 
-NUM_VOTED = 60
-NUM_ROTATIONS = 12
-NUM_CORRELATED = 60
-NUM_STARTS = 24
-NUM_CANDIDATES = 8
 COARSE_POINTS = 250
 FINE_POINTS = 400
-COARSE_TOLERANCE_CELLS = 6.0
-COARSE_CHANCE = 0.1
-COARSE_DEEP_CELLS = 3.0
 WIDE_REACHES = (10.0, 10.0, 8.0, 6.0)
 TIGHT_REACHES = (6.0, 5.0, 4.0, 4.0, 3.0, 3.0)
 POLISH_REACHES = (4.0, 3.0, 3.0, 2.5, 2.5, 2.5)
@@ -35,8 +28,6 @@ POLISH_POINTS = 4000
 SLIGHT_CELLS, SLIGHT_DEGREES = 0.5, 0.3
 """A pose that polishing moves less than this is the same pose."""
 EVIDENCE_POINTS = 1000
-SAME_CELLS = 6.0
-SAME_DEGREES = 4.0
 DISTINCT_CELLS = 10.0
 DISTINCT_SHARE = 0.04
 DISTINCT_DEGREES = 10.0
@@ -44,9 +35,51 @@ REFINED_DEGREES = 3.0
 SLIDING_CONDITIONING = 0.15
 """Walls that fix one direction less than this share of the other may let a pose slide."""
 SLIDES_CELLS = (8.0, 12.0, 16.0, 20.0, 26.0, 32.0, 40.0, 50.0)
-NUM_SCRUTINISED = 5
 WORTH_SHARE = 0.2
 """A pose with less than this share of the best one's evidence is not looked at more closely."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much is spent on a search.
+
+    Attributes:
+        num_voted: How many poses are taken from the keypoints' votes.
+        num_rotations: How many rotations of the walls as a whole are tried.
+        num_correlated: How many poses are taken from them.
+        num_starts: How many poses are refined roughly.
+        num_candidates: How many of them finely.
+        is_stepped: Whether the poses around a pose are tried before it is refined.
+        num_scrutinised: How many poses are looked at closely.
+    """
+
+    num_voted: int
+    num_rotations: int
+    num_correlated: int
+    num_starts: int
+    num_candidates: int
+    is_stepped: bool
+    num_scrutinised: int
+
+
+QUICK = Effort(
+    num_voted=60,
+    num_rotations=12,
+    num_correlated=60,
+    num_starts=24,
+    num_candidates=8,
+    is_stepped=False,
+    num_scrutinised=5,
+)
+THOROUGH = Effort(
+    num_voted=200,
+    num_rotations=40,
+    num_correlated=300,
+    num_starts=32,
+    num_candidates=16,
+    is_stepped=True,
+    num_scrutinised=10,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,18 +123,21 @@ class Finding:
     num_keypoints: tuple[int, int] = (0, 0)
 
 
-def propose(target: PreparedMap, source: PreparedMap, matches: Matches) -> Poses:
+def propose(target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort = QUICK) -> Poses:
     """Hypotheses (K, 3) from features and from the walls as a whole."""
     assert target.field is not None
     assert source.field is not None
-    voted = vote(target.features, source.features, matches, source.centre, NUM_VOTED)
-    whole = correlate(target.field.surface, source.field.surface, source.centre, NUM_ROTATIONS, NUM_CORRELATED)
+    voted = vote(target.features, source.features, matches, source.centre, effort.num_voted)
+    walls = target.field.surface, source.field.surface
+    whole = correlate(*walls, source.centre, effort.num_rotations, effort.num_correlated)
     return np.concatenate([voted, whole])
 
 
-def examine(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches) -> Finding:
-    """The best of the hypotheses, refined, with its evidence and its rival."""
-    candidates = refine_and_rank(target, source, hypotheses, matches)
+def examine(
+    target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches, effort: Effort = QUICK
+) -> Finding:
+    """The best of the hypotheses (K, 3), refined, with its evidence and its rival."""
+    candidates = refine_and_rank(target, source, hypotheses, matches, effort)
     found = recheck(target, source, candidates[0].pose, matches)
     others = np.array([one.pose for one in candidates])
     (apart,) = differ(others[:1], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
@@ -116,14 +152,21 @@ def examine(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches
     )
 
 
-def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches) -> list[Candidate]:
+def refine_and_rank(
+    target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches, effort: Effort = QUICK
+) -> list[Candidate]:
     """The best few of the hypotheses (K, 3), refined, none of them like another; the most plausible first."""
     assert target.field is not None
     assert source.field is not None
-    starts = _best_distinct(target.field, source.field, hypotheses, source.centre, COARSE_POINTS, NUM_STARTS)
-    wide, _ = refine(target.field, source.field, starts, source.centre, WIDE_REACHES, COARSE_POINTS)
-    wide = _best_distinct(target.field, source.field, wide, source.centre, FINE_POINTS, NUM_CANDIDATES)
-    tight, _ = refine(target.field, source.field, wide, source.centre, TIGHT_REACHES, FINE_POINTS)
+    fields, centre = (target.field, source.field), source.centre
+    starts = best_distinct(target, source, hypotheses, COARSE_POINTS, effort.num_starts)
+    if effort.is_stepped:
+        starts = best_nearby(target, source, starts, WIDE_STEPS)
+    wide, _ = refine(*fields, starts, centre, WIDE_REACHES, COARSE_POINTS)
+    wide = best_distinct(target, source, wide, FINE_POINTS, effort.num_candidates)
+    if effort.is_stepped:
+        wide = np.concatenate([wide, best_nearby(target, source, wide, TIGHT_STEPS)])
+    tight, _ = refine(*fields, wide, centre, TIGHT_REACHES, FINE_POINTS)
     poses = np.concatenate([tight, wide])
     evidence = weigh(target, source, poses, EVIDENCE_POINTS)
     best = int(evidence.net.argmax())
@@ -133,7 +176,7 @@ def refine_and_rank(target: PreparedMap, source: PreparedMap, hypotheses: Poses,
     order = np.argsort(-evidence.net, kind="stable")
     most = evidence.net[order[0]]
     worth = order[evidence.net[order] >= WORTH_SHARE * most]
-    count = NUM_SCRUTINISED if most >= MIN_EVIDENCE else 1
+    count = effort.num_scrutinised if most >= MIN_EVIDENCE else 1
     chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, count)]
     candidates = [_candidate(target, source, poses[k], evidence, int(k), matches) for k in chosen]
     return sorted(candidates, key=lambda one: -one.plausibility)
@@ -179,26 +222,3 @@ def distinct_cells(target: PreparedMap, source: PreparedMap) -> float:
     """From how many cells on two poses are different answers: more for large maps, which bend."""
     diagonal = min(math.hypot(*m.grid.cells.shape) for m in (target, source))
     return max(DISTINCT_CELLS, DISTINCT_SHARE * diagonal)
-
-
-def _best_distinct(
-    target: SurfaceField, source: SurfaceField, poses: Poses, centre: Poses, num_points: int, count: int
-) -> Poses:
-    """The `count` best poses by a rough score, none of them within SAME_CELLS and SAME_DEGREES of a better one."""
-    score = _rough_score(target, source.surface, poses, num_points)
-    score = score + _rough_score(source, target.surface, inverse(poses), num_points)
-    poses = poses[np.argsort(-score, kind="stable")]
-    return poses[distinct(poses, centre, SAME_CELLS, SAME_DEGREES, count)]
-
-
-def _rough_score(field: SurfaceField, surface: Surface, poses: Poses, num_points: int) -> Poses:
-    """(K,) net evidence of one direction, from few points, one tolerance and a fixed chance."""
-    some = surface.thinned(num_points)
-    found = encounters(field, some, poses)
-    depth = field.depth.ravel().take(found.cells)
-    known = depth != NOT_KNOWN
-    agrees = known & found.same_side & (found.squared <= COARSE_TOLERANCE_CELLS**2)
-    deep = known & (depth > COARSE_DEEP_CELLS) & (found.squared > COARSE_DEEP_CELLS**2)
-    n = known.sum(axis=-1)
-    evidence = against_chance(n, agrees.sum(axis=-1), np.asarray(COARSE_CHANCE))
-    return discounted(evidence, deep.sum(axis=-1) / np.maximum(n, 1)) * (len(surface) / len(some))

@@ -58,6 +58,7 @@ class SurfaceField:
         surface: The surface, at least one point.
         walls: (4, N) float32, the surface's x, y and its normals' x, y.
         nearest: (H, W) int32, index into the surface; cell (0, 0) lies FIELD_MARGIN cells outside the map.
+        distance: (H, W) uint8, whole cells to it, about; 255 from there on.
         depth: (H, W) uint8, NOT_KNOWN where the map knows neither the cell nor one beside it; else the distance of a
             free cell to the nearest cell that is not free, cells, and 0 for cells that are not free.
     """
@@ -65,6 +66,7 @@ class SurfaceField:
     surface: Surface
     walls: Floats
     nearest: Indices
+    distance: Bytes
     depth: Bytes
 
     def cells_below(self, points: Points) -> Indices:
@@ -127,7 +129,7 @@ def extract_surface(walls: Mask, free: Mask) -> Surface:
 def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
     """The field of a surface of at least one point; `free` and `known` are the map's (H, W) masks."""
     elsewhere, rows, columns = _all_but(surface.points, free.shape)
-    _, labels = cv2.distanceTransformWithLabels(elsewhere, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    distance, labels = cv2.distanceTransformWithLabels(elsewhere, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     order = np.zeros(len(surface) + 1, np.int32)
     order[labels[rows, columns]] = np.arange(len(surface), dtype=np.int32)
     free_depth = cv2.distanceTransform(_with_margin(free), cv2.DIST_L2, 3)
@@ -135,7 +137,13 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
     near_known = cv2.dilate(_with_margin(known), np.ones((3, 3), np.uint8))
     depth |= (near_known == 0) * np.uint8(NOT_KNOWN)
     walls = np.concatenate([surface.points.T, surface.normals.T])
-    return SurfaceField(surface, np.ascontiguousarray(walls), order.take(np.asarray(labels)), depth)
+    return SurfaceField(
+        surface=surface,
+        walls=np.ascontiguousarray(walls),
+        nearest=order.take(np.asarray(labels)),
+        distance=np.asarray(cv2.convertScaleAbs(distance), np.uint8),
+        depth=depth,
+    )
 
 
 def distance_to(points: Points, shape: tuple[int, ...]) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.confidence import MAX_MARGIN, confidence, margin
+from mapfusion.pairwise.confidence import MAX_MARGIN, Figures, confidence, margin
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
@@ -27,11 +27,12 @@ the walls hold one direction so weakly that the pose may slide."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_CONFIDENCE = 0.82
-SMALL_OVERLAP, SMALL_OVERLAP_CONFIDENCE, SMALL_OVERLAP_EVIDENCE = 0.4, 0.905, 70.0
+SMALL_OVERLAP, SMALL_OVERLAP_EVIDENCE = 0.4, 50.0
 """Maps that share less than this of the smaller one need more: the less they share, the more ways there are to share
-it, and two or three things that stand alike in both are no place yet."""
-FEW_LINES, MIN_RATIO_OF_FEW = 6.0, 0.9
-"""Where they share as few walls as one or two things have, nearly all of them must agree."""
+it."""
+FEW_LINES, EVIDENCE_OF_FEW, MIN_RATIO_OF_FEW = 8.0, 70.0, 0.9
+"""Where they share as few walls as two things have, they need still more, and nearly all of the walls must agree: two
+things that stand alike in both are no place yet."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
@@ -107,12 +108,10 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "no overlap", "the best alignment leaves no cell that both maps know"
     if config.mae_threshold is not None and cells.mae >= config.mae_threshold:
         return "mae", f"mean absolute error {cells.mae:.1f} grey levels, not below {config.mae_threshold:g}"
-    is_small = figures["mutual_ratio"] < SMALL_OVERLAP
-    least_evidence = SMALL_OVERLAP_EVIDENCE if is_small else MIN_EVIDENCE
-    if figures["net"] < least_evidence:
+    if figures["net"] < least_evidence(figures):
         return "chance", (
             "agreement is no better than what a search finds between unrelated maps: "
-            f"{agreement} (evidence {figures['net']:.0f}, at least {least_evidence:.0f} is needed "
+            f"{agreement} (evidence {figures['net']:.0f}, at least {least_evidence(figures):.0f} is needed "
             f"with {figures['mutual_ratio']:.0%} of the smaller map in common)"
         )
     if figures["contradiction"] > MAX_CONTRADICTION:
@@ -120,7 +119,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"walls stand in the other map's free space, {figures['contradiction']:.0%} of what chance would put there "
             f"(at most {MAX_CONTRADICTION:.0%}); {agreement}"
         )
-    if is_small and figures["lines"] < FEW_LINES and figures["ratio"] < MIN_RATIO_OF_FEW:
+    if are_few_things(figures) and figures["ratio"] < MIN_RATIO_OF_FEW:
         return "chance", (
             f"one or two things that stand alike in both maps: about {figures['lines']:.0f} different walls agree and "
             f"{figures['mutual_ratio']:.0%} of the smaller map is in common, so {MIN_RATIO_OF_FEW:.0%} of the walls "
@@ -136,23 +135,34 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             "what agrees is round: it fixes no rotation "
             f"(hold on the rotation {figures['turning']:.3f}, at least {MIN_TURNING} is needed)"
         )
-    least = SMALL_OVERLAP_CONFIDENCE if is_small else MIN_CONFIDENCE
     least_margin = SLIDING_MARGIN if figures["conditioning"] < SLIDING_CONDITIONING else MIN_MARGIN
-    is_close = _margin(finding) < least_margin or trust < least <= confidence(figures, MAX_MARGIN)
+    is_close = _margin(finding) < least_margin or trust < MIN_CONFIDENCE <= confidence(figures, MAX_MARGIN)
     if finding.rival is not None and is_close:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
             f"({_rival_ratio(finding):.2f} of the evidence); the best: {agreement}"
         )
-    if trust < least:
+    if trust < MIN_CONFIDENCE:
         return "confidence", (
-            f"not sure enough ({trust:.2f}, at least {least} is needed): {agreement}, along about "
+            f"not sure enough ({trust:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, along about "
             f"{figures['lines']:.0f} different walls; {figures['opposite']:.0%} lie on walls seen from the other "
             f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, the best different alignment has "
             f"{_rival_ratio(finding):.2f} of the evidence"
         )
     return "", ""
+
+
+def least_evidence(figures: Figures) -> float:
+    """The net evidence that a pose with these figures needs."""
+    if are_few_things(figures):
+        return EVIDENCE_OF_FEW
+    return SMALL_OVERLAP_EVIDENCE if figures["mutual_ratio"] < SMALL_OVERLAP else MIN_EVIDENCE
+
+
+def are_few_things(figures: Figures) -> bool:
+    """Whether what agrees may be one or two things that stand alike in two places."""
+    return figures["mutual_ratio"] < SMALL_OVERLAP and figures["lines"] < FEW_LINES
 
 
 def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_target_source: SE2) -> FloatArray:

@@ -4,7 +4,17 @@ from typing import Any
 
 import pytest
 
-from mapfusion.joins import FOLLOW_NS, MAX_SEARCHES, OVERWHELMING, SEARCH_AGAIN_NS, SETTLED_NS, Joins, Look
+from mapfusion.joins import (
+    FOLLOW_NS,
+    MAX_LAST_THOROUGH,
+    MAX_SEARCHES,
+    MAX_THOROUGH,
+    OVERWHELMING,
+    SEARCH_AGAIN_NS,
+    SETTLED_NS,
+    Joins,
+    Look,
+)
 from mapfusion.newest import NewestGrid
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement
@@ -51,15 +61,55 @@ def test_a_refused_pair_is_searched_again_when_enough_has_changed_or_at_the_end(
     assert joins.due(snapshot(second=30.0, a=2, b=1, known=53), {}) == []
     assert joins.due(snapshot(second=30.0, a=3, b=1, known=56), {}) == [Look(AB, None)]
     assert joins.due(snapshot(second=30.0, a=3, b=1, known=44), {}) == [Look(AB, None)]
-    assert joins.due(snapshot(a=2, b=1, known=51, is_last=True), {}) == [Look(AB, None)]
+    assert joins.due(snapshot(a=2, b=1, known=51, is_last=True), {}) == [Look(AB, None, is_thorough=True)]
 
 
 def test_a_refused_pair_is_not_searched_again_at_once_however_fast_its_maps_grow() -> None:
     joins = Joins()
-    look(joins, snapshot(a=1, b=1, known=20), REFUSED)
+    look(joins, snapshot(a=1, b=1, known=50), REFUSED)
     before, after = SEARCH_AGAIN_NS / SECOND_NS - 1.0, SEARCH_AGAIN_NS / SECOND_NS
     assert joins.due(snapshot(second=before, a=2, b=1, known=80), {}) == []
     assert joins.due(snapshot(second=after, a=2, b=1, known=80), {}) == [Look(AB, None)]
+
+
+def test_a_search_is_thorough_whenever_a_map_has_doubled() -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1, known=20), REFUSED)
+    thorough = [Look(AB, None, is_thorough=True)]
+    assert joins.due(snapshot(second=20.0, a=2, b=1, known=39), {}) == [Look(AB, None)]
+    assert joins.due(snapshot(second=20.0, a=2, b=1, known=40), {}) == thorough
+    look(joins, snapshot(second=20.0, a=2, b=1, known=40), REFUSED)
+    assert joins.due(snapshot(second=40.0, a=3, b=1, known=79), {}) == [Look(AB, None)]
+    assert joins.due(snapshot(second=40.0, a=3, b=1, known=80), {}) == thorough
+
+
+@pytest.mark.parametrize("has_thorough", [True, False])
+@pytest.mark.parametrize("how", ["last", "settled"])
+def test_a_refused_pair_is_searched_thoroughly_once_when_nothing_changes_any_more(how: str, has_thorough: bool) -> None:
+    joins = Joins(has_thorough=has_thorough)
+    look(joins, snapshot(a=1, b=1), REFUSED)
+    assert joins.due(snapshot(second=SETTLED_NS / SECOND_NS - 1.0, a=1, b=1), {}) == []
+    later = snapshot(second=5.0, is_last=True, a=1, b=1) if how == "last" else snapshot(second=10.0, a=1, b=1)
+    assert joins.due(later, {}) == ([Look(AB, None, is_thorough=True)] if has_thorough else [])
+    look(joins, later, *([REFUSED] if has_thorough else []))
+    assert joins.due(snapshot(second=99.0, is_last=True, a=1, b=1), {}) == []
+
+
+def test_what_confirms_a_candidate_is_searched_as_thoroughly_as_what_found_it() -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1), ACCEPTED)
+    assert joins.due(snapshot(second=1.0, a=2, b=1), {}) == [Look(AB, None, is_thorough=True)]
+
+
+@pytest.mark.parametrize(("is_last", "most"), [(False, MAX_THOROUGH), (True, MAX_LAST_THOROUGH)])
+def test_thorough_searches_are_bounded(is_last: bool, most: int) -> None:
+    joins = Joins()
+    for _ in range(6):
+        at = snapshot(known=20, r1=1, r2=1, r3=1, r4=1, r5=1, r6=1, r7=1)
+        look(joins, at, *[REFUSED] * len(joins.due(at, {})))
+    grown = snapshot(20.0, is_last, 60, r1=2, r2=2, r3=2, r4=2, r5=2, r6=2, r7=2)
+    looks = joins.due(grown, {})
+    assert sum(one.is_thorough for one in looks) == most
 
 
 def test_a_near_miss_is_searched_again_as_soon_as_a_map_has_grown() -> None:

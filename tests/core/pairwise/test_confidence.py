@@ -8,6 +8,7 @@ from mapfusion.pairwise.confidence import (
     CONFIDENCE,
     KNOWN_KEYPOINTS,
     MAX_MARGIN,
+    MAX_NET,
     PLAUSIBILITY,
     confidence,
     confidence_terms,
@@ -17,7 +18,7 @@ from mapfusion.pairwise.confidence import (
 )
 
 FIGURES = {
-    "net": 100.0,
+    "net": 25.0,
     "ratio": 0.8,
     "chance": 0.1,
     "lines": 15.0,
@@ -27,7 +28,6 @@ FIGURES = {
     "opposite": 0.05,
     "mutual_ratio": 0.4,
     "outside": 0.5,
-    "conditioning": 0.1,
     "keypoints": 2.0,
     "inliers_near": 20.0,
     "inliers_wide": 40.0,
@@ -42,7 +42,7 @@ def test_every_term_has_a_weight() -> None:
 @pytest.mark.parametrize(
     "better",
     [
-        {"net": 200.0},
+        {"net": 50.0},
         {"crossing": 0.0},
         {"lines": 30.0},
         {"ratio": 0.9},
@@ -59,22 +59,25 @@ def test_plausibility_grows_with_what_speaks_for_a_pose(better: dict[str, float]
 @pytest.mark.parametrize(
     "better",
     [
-        {"net": 200.0},
+        {"net": 28.0},
         {"lines": 18.0},
         {"crossing_cells": 0.0},
         {"crossing": 0.0},
         {"keypoints": 3.0},
         {"opposite": 0.0},
         {"mutual_ratio": 0.6},
-        {"conditioning": 0.3},
     ],
 )
 def test_confidence_grows_with_what_speaks_for_a_pose(better: dict[str, float]) -> None:
     assert confidence(FIGURES | better, 2.0) > confidence(FIGURES, 2.0)
 
 
+def test_more_evidence_than_repetition_has_too_is_no_more_confidence() -> None:
+    assert confidence(FIGURES | {"net": MAX_NET}, 2.0) == confidence(FIGURES | {"net": 30.0 * MAX_NET}, 2.0)
+
+
 def test_a_close_rival_takes_confidence() -> None:
-    weak, close = FIGURES | {"net": 5.0, "lines": 4.0, "ratio": 0.3}, FIGURES | {"net": 90.0}
+    weak, close = FIGURES | {"net": 5.0, "lines": 4.0, "ratio": 0.3}, FIGURES | {"net": 22.0}
     assert margin(FIGURES, None) == MAX_MARGIN
     assert margin(FIGURES, FIGURES) == 0.0
     assert confidence(FIGURES, margin(FIGURES, weak)) > confidence(FIGURES, margin(FIGURES, close))

@@ -68,8 +68,9 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
     ("gate", "found"),
     [
         ("chance", finding(net=10.0, rival_net=5.0)),
-        ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3)),
-        ("chance", finding(lines=4.0, ratio=0.8, mutual_ratio=0.3)),
+        ("chance", finding(net=45.0, rival_net=5.0, mutual_ratio=0.3)),
+        ("chance", finding(net=65.0, lines=7.0, rival_net=5.0, mutual_ratio=0.3)),
+        ("chance", finding(lines=7.0, ratio=0.8, mutual_ratio=0.3)),
         ("contradiction", finding(contradiction=0.7)),
         ("one direction", finding(conditioning=0.001)),
         ("one direction", finding(turning=0.01)),
@@ -104,28 +105,26 @@ def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
 @pytest.mark.parametrize(
     "better",
     [
-        {"net": 600.0},
+        {"net": 28.0},
         {"lines": 20.0},
         {"mutual_ratio": 0.3},
         {"opposite": 0.0},
         {"crossing_cells": 0.0},
         {"crossing": 0.0},
         {"keypoints": 3.0},
-        {"conditioning": 0.5},
         {"rival_net": 5.0},
     ],
 )
 def test_confidence_grows_with_every_kind_of_evidence(place: PreparedMap, better: dict[str, float]) -> None:
     worse = {
-        "net": 60.0,
+        "net": 22.0,
         "lines": 15.0,
         "mutual_ratio": 0.2,
         "opposite": 0.05,
         "crossing_cells": 20.0,
         "crossing": 0.05,
         "keypoints": 1.0,
-        "conditioning": 0.1,
-        "rival_net": 25.0,
+        "rival_net": 20.0,
     }
     assert judged(place, finding(**(worse | better))).confidence > judged(place, finding(**worse)).confidence
 

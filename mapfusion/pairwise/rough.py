@@ -1,0 +1,84 @@
+"""Many poses told apart by a rough score: cheap enough for hundreds of them, good enough to choose where to look."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mapfusion.pairwise.evidence import against_chance, discounted
+from mapfusion.pairwise.poses import Poses, centre_moved, distinct, inverse, moved, pose_from_centre
+from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, MEETINGS, NUM_CODES, direction_bins
+
+CHANCE = 0.1
+"""Share of walls that agree by chance, about."""
+SAME_CELLS = 6.0
+SAME_DEGREES = 4.0
+
+
+class Steps(NamedTuple):
+    """Poses around a pose that are tried: a lattice.
+
+    Attributes:
+        cells: Distance between two, cells.
+        degrees: Turn between two.
+        num_points: Points of each map by which they are told apart.
+    """
+
+    cells: float
+    degrees: float
+    num_points: int
+
+
+NUM_STEPS = 2
+"""So many steps to each side, along both axes and in rotation."""
+WIDE_STEPS = Steps(3.0, 2.0, 150)
+TIGHT_STEPS = Steps(2.0, 1.5, 250)
+
+
+def best_distinct(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int, count: int) -> Poses:
+    """The `count` best poses by a rough score, none of them within SAME_CELLS and SAME_DEGREES of a better one.
+
+    Args:
+        target: A map with walls.
+        source: Another one.
+        poses: (K, 3) of the source in the target, in cells.
+        num_points: About so many points of each map are used.
+        count: How many poses to give.
+    """
+    poses = poses[np.argsort(-_score(target, source, poses, num_points), kind="stable")]
+    return poses[distinct(poses, source.centre, SAME_CELLS, SAME_DEGREES, count)]
+
+
+def best_nearby(target: PreparedMap, source: PreparedMap, poses: Poses, steps: Steps) -> Poses:
+    """For each of the poses (K, 3) the one with the best rough score on a lattice around it.
+
+    Refining follows the nearest walls, and between many things the nearest is seldom the right one.
+    """
+    offsets = np.arange(-NUM_STEPS, NUM_STEPS + 1)
+    lattice = np.stack(np.meshgrid(offsets, offsets, offsets, indexing="ij"), -1).reshape(-1, 3)
+    lattice = lattice * np.array([steps.cells, steps.cells, math.radians(steps.degrees)])
+    best = []
+    for pose, at in zip(poses, centre_moved(poses, source.centre), strict=True):
+        around = pose_from_centre(pose[2] + lattice[:, 2], at + lattice[:, :2], source.centre)
+        best.append(around[_score(target, source, around, steps.num_points).argmax()])
+    return np.array(best)
+
+
+def _score(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int) -> Poses:
+    """(K,) net evidence of both directions, roughly."""
+    return _one_way(target, source, poses, num_points) + _one_way(source, target, inverse(poses), num_points)
+
+
+def _one_way(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int) -> Poses:
+    """(K,) net evidence of one direction, from few points, one tolerance and a fixed chance."""
+    assert target.field is not None
+    assert source.field is not None
+    some = source.field.surface.thinned(num_points)
+    codes = target.sketch.ravel().take(target.field.cells_below(moved(poses, some.points)))
+    met = MEETINGS.ravel().take(direction_bins(some, poses[:, 2, None]) * NUM_CODES + codes).sum(axis=-1)
+    n, agrees, contradicts = met % AGREES, met % CONTRADICTS // AGREES, met // CONTRADICTS
+    evidence = against_chance(n, agrees, np.asarray(CHANCE))
+    return discounted(evidence, contradicts / np.maximum(n, 1)) * (len(source.field.surface) / len(some))

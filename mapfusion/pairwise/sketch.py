@@ -1,0 +1,50 @@
+"""A map in one byte a cell: what a wall of another map would meet there, roughly."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.pairwise.refine import SAME_SIDE_COSINE
+from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Indices, Surface, SurfaceField
+
+NEAR_CELLS = 6
+"""A wall this near a wall seen from the same side agrees with it."""
+DEEP_CELLS = 3
+"""A wall this deep in free space, and this far from any wall, contradicts the map."""
+NUM_BINS = 24
+"""Directions that are told apart."""
+_NOT_NEAR, _DEEP, _UNKNOWN = (np.uint8(code) for code in (31, 32, 64))
+NUM_CODES = 128
+"""A cell's code: the direction of the wall near it or _NOT_NEAR, and the flags _DEEP and _UNKNOWN."""
+KNOWN, AGREES, CONTRADICTS = 1, 1 << 10, 1 << 20
+"""What a wall meets, as digits that can be summed over fewer than 1024 walls."""
+
+
+def sketch(field: SurfaceField) -> Bytes:
+    """(H, W) codes of the cells of a field."""
+    codes = direction_bins(field.surface).astype(np.uint8).take(field.nearest)
+    codes |= (field.distance > NEAR_CELLS) * _NOT_NEAR
+    codes |= ((field.distance > DEEP_CELLS) & (field.depth > DEEP_CELLS)) * _DEEP
+    codes |= (field.depth == NOT_KNOWN) * _UNKNOWN
+    return codes
+
+
+def direction_bins(surface: Surface, turns_rad: npt.NDArray[np.float64] | float = 0.0) -> Indices:
+    """Bin of the direction that each wall faces, turned; (N,), or (K, N) for (K, 1) turns."""
+    angles = np.arctan2(surface.normals[:, 1], surface.normals[:, 0]) + np.asarray(turns_rad, np.float32)
+    bins: Indices = np.floor(angles * (NUM_BINS / (2.0 * np.pi)) + 0.5).astype(np.int32) % NUM_BINS
+    return bins
+
+
+def _meetings() -> npt.NDArray[np.int32]:
+    """(NUM_BINS, NUM_CODES) what a wall that faces into a bin meets in a cell of a code."""
+    codes, here = np.arange(NUM_CODES), np.arange(NUM_BINS)[:, None]
+    there = codes & _NOT_NEAR
+    alike = np.cos((here - there) * (2.0 * np.pi / NUM_BINS)) > SAME_SIDE_COSINE - 1e-6
+    agrees = alike & (there != _NOT_NEAR)
+    meets = KNOWN + agrees * AGREES + (codes & _DEEP > 0) * CONTRADICTS
+    return np.where(codes & _UNKNOWN > 0, 0, meets).astype(np.int32)
+
+
+MEETINGS = _meetings()

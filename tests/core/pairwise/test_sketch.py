@@ -1,0 +1,49 @@
+"""A map in one byte a cell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapfusion.pairwise.prepared import PreparedMap, prepare
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, KNOWN, MEETINGS, NUM_BINS, direction_bins
+from mapfusion.pairwise.surface import FIELD_MARGIN
+from tests.fakes import flat, grid_of
+
+
+@pytest.fixture(scope="module")
+def room() -> PreparedMap:
+    """Free from 20 to 80 in both directions, two cells of wall around, unknown beyond."""
+    cells = flat(100, 100, -1)
+    cells[18:82, 18:82] = 100
+    cells[20:80, 20:80] = 0
+    return prepare(grid_of(cells), 0.1)
+
+
+def met(room: PreparedMap, x: int, y: int, facing_deg: float) -> int:
+    """What a wall at a cell of the room, counted from its outermost wall cell, meets there."""
+    bin_ = round(facing_deg / (360 / NUM_BINS)) % NUM_BINS
+    return int(MEETINGS[bin_, room.sketch[y + FIELD_MARGIN, x + FIELD_MARGIN]])
+
+
+def test_a_wall_agrees_near_a_wall_that_faces_alike(room: PreparedMap) -> None:
+    # 30 cells up the left wall, which faces right.
+    assert met(room, 3, 32, 0.0) == met(room, 3, 32, 45.0) == KNOWN + AGREES
+    assert met(room, 3, 32, 90.0) == met(room, 3, 32, 180.0) == KNOWN
+
+
+def test_a_wall_in_the_middle_of_free_space_contradicts(room: PreparedMap) -> None:
+    assert {met(room, 32, 32, facing) for facing in (0.0, 90.0, 200.0)} == {KNOWN + CONTRADICTS}
+
+
+def test_what_is_unknown_says_nothing(room: PreparedMap) -> None:
+    assert met(room, -8, 32, 0.0) == 0
+
+
+def test_directions_turn_with_the_map(room: PreparedMap) -> None:
+    assert room.field is not None
+    there = direction_bins(room.field.surface)
+    quarter = direction_bins(room.field.surface, np.array([[0.0], [np.pi / 2.0]]))
+    assert quarter.shape == (2, len(there))
+    np.testing.assert_array_equal(quarter[0], there)
+    assert np.isin((quarter[1] - there) % NUM_BINS, [NUM_BINS // 4 - 1, NUM_BINS // 4, NUM_BINS // 4 + 1]).all()
