@@ -7,12 +7,15 @@ from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
 from mapfusion.pairwise.poses import Poses, from_se2, to_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.search import QUICK, THOROUGH, Effort, Finding, examine, propose, recheck
+from mapfusion.pairwise.search import QUICK, THOROUGH, Effort, Finding, examine, propose, recheck, with_rivals_of
 from mapfusion.pairwise.voting import Matches, match
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 
 __all__ = ["PreparedMap", "fuse", "prepare", "verify"]
+
+SURE = 0.99
+"""A join that a quick search is less sure of than this must stand against the rivals that a thorough one finds."""
 
 
 def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thorough: bool = True) -> PairFusion:
@@ -33,10 +36,16 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     if refusal is not None:
         return refusal
     matches = match(target.features, source.features)
-    quick = _judged(target, source, config, _searched(target, source, matches, QUICK))
-    if quick.accepted or not is_thorough:
+    quickly = _searched(target, source, matches, QUICK)
+    quick = _judged(target, source, config, quickly)
+    if quick.confidence >= SURE if quick.accepted else not is_thorough:
         return quick
-    return _judged(target, source, config, _searched(target, source, matches, THOROUGH))
+    thoroughly = _searched(target, source, matches, THOROUGH)
+    if quick.accepted:
+        checked = _judged(target, source, config, with_rivals_of(quickly, thoroughly, target, source))
+        if checked.accepted:
+            return checked
+    return _judged(target, source, config, thoroughly)
 
 
 def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, config: FusionConfig) -> PairFusion:

@@ -152,6 +152,17 @@ def examine(
     )
 
 
+def with_rivals_of(finding: Finding, other: Finding, target: PreparedMap, source: PreparedMap) -> Finding:
+    """The finding with the most plausible rival that it or another search of the same maps found."""
+    rivals = [one for one in (finding.rival, other.rival, other.best) if one is not None]
+    if not rivals:
+        return finding
+    poses, cells = np.array([one.pose for one in rivals]), distinct_cells(target, source)
+    (apart,) = differ(finding.best.pose[None], poses, source.centre, cells, DISTINCT_DEGREES)
+    rivals = [one for one, is_apart in zip(rivals, apart, strict=True) if is_apart]
+    return replace(finding, rival=max(rivals, key=lambda one: one.plausibility, default=None))
+
+
 def refine_and_rank(
     target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches, effort: Effort = QUICK
 ) -> list[Candidate]:

@@ -19,17 +19,18 @@ MIN_CONDITIONING = 0.03
 """Least smallest / largest eigenvalue of what the agreeing walls fix of the translation."""
 MIN_TURNING = 0.05
 """Least hold of the agreeing walls on the rotation: a square has 0.25, a circle drawn in cells 0.003."""
-MAX_CONTRADICTION = 0.6
-"""Most walls in the other map's free space, as a share of what chance would put there."""
+MAX_CONTRADICTION, SOME_CONTRADICTION = 0.6, 0.2
+"""Most walls in the other map's free space, as a share of what chance would put there; the share from which on more
+evidence is asked for."""
 MIN_MARGIN, SLIDING_MARGIN = 0.5, 2.0
 """Least plausibility over that of the best different alignment: below it the two are the same to us. The second where
 the walls hold one direction so weakly that the pose may slide."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_CONFIDENCE = 0.82
-SMALL_OVERLAP, SMALL_OVERLAP_EVIDENCE = 0.4, 50.0
-"""Maps that share less than this of the smaller one need more: the less they share, the more ways there are to share
-it."""
+SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 50.0
+"""Maps that share less than this of the smaller one need so much evidence: the less they share, the more ways there are
+to share it. So do maps that contradict each other."""
 FEW_LINES, EVIDENCE_OF_FEW, MIN_RATIO_OF_FEW = 8.0, 70.0, 0.9
 """Where they share as few walls as two things have, they need still more, and nearly all of the walls must agree: two
 things that stand alike in both are no place yet."""
@@ -112,7 +113,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "chance", (
             "agreement is no better than what a search finds between unrelated maps: "
             f"{agreement} (evidence {figures['net']:.0f}, at least {least_evidence(figures):.0f} is needed "
-            f"with {figures['mutual_ratio']:.0%} of the smaller map in common)"
+            f"with {figures['mutual_ratio']:.0%} of the smaller map in common and walls in the other's free space at "
+            f"{figures['contradiction']:.0%} of chance)"
         )
     if figures["contradiction"] > MAX_CONTRADICTION:
         return "contradiction", (
@@ -157,7 +159,8 @@ def least_evidence(figures: Figures) -> float:
     """The net evidence that a pose with these figures needs."""
     if are_few_things(figures):
         return EVIDENCE_OF_FEW
-    return SMALL_OVERLAP_EVIDENCE if figures["mutual_ratio"] < SMALL_OVERLAP else MIN_EVIDENCE
+    is_doubtful = figures["mutual_ratio"] < SMALL_OVERLAP or figures["contradiction"] > SOME_CONTRADICTION
+    return MORE_EVIDENCE if is_doubtful else MIN_EVIDENCE
 
 
 def are_few_things(figures: Figures) -> bool:
