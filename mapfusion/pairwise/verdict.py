@@ -28,12 +28,12 @@ the walls hold one direction so weakly that the pose may slide."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_CONFIDENCE = 0.82
-SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 50.0
+SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 70.0
 """Maps that share less than this of the smaller one need so much evidence: the less they share, the more ways there are
 to share it. So do maps that contradict each other."""
-FEW_LINES, EVIDENCE_OF_FEW, MIN_RATIO_OF_FEW = 8.0, 70.0, 0.9
-"""Where they share as few walls as two things have, they need still more, and nearly all of the walls must agree: two
-things that stand alike in both are no place yet."""
+FEW_LINES, MIN_RATIO_OF_FEW = 8.0, 0.9
+"""Where they share as few walls as two things have, nearly all of the walls must agree: two things that stand alike in
+both are no place yet."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
@@ -157,8 +157,6 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 
 def least_evidence(figures: Figures) -> float:
     """The net evidence that a pose with these figures needs."""
-    if are_few_things(figures):
-        return EVIDENCE_OF_FEW
     is_doubtful = figures["mutual_ratio"] < SMALL_OVERLAP or figures["contradiction"] > SOME_CONTRADICTION
     return MORE_EVIDENCE if is_doubtful else MIN_EVIDENCE
 

@@ -68,9 +68,8 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
     ("gate", "found"),
     [
         ("chance", finding(net=10.0, rival_net=5.0)),
-        ("chance", finding(net=45.0, rival_net=5.0, mutual_ratio=0.3)),
-        ("chance", finding(net=45.0, rival_net=5.0, contradiction=0.3)),
-        ("chance", finding(net=65.0, lines=7.0, rival_net=5.0, mutual_ratio=0.3)),
+        ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3)),
+        ("chance", finding(net=60.0, rival_net=5.0, contradiction=0.3)),
         ("chance", finding(lines=7.0, ratio=0.8, mutual_ratio=0.3)),
         ("contradiction", finding(contradiction=0.7)),
         ("one direction", finding(conditioning=0.001)),
