@@ -19,7 +19,7 @@ from mapfusion.transform import SE2
 
 OVERWHELMING = 0.999
 """From this confidence on a fusion joins at once; below it a second look must agree."""
-LET_GO_CONFIDENCE = 0.5
+LET_GO_CONFIDENCE = 0.2
 """A held join whose transform falls below this is contradicted. Lower than what joins: hysteresis."""
 MAX_CONTRADICTIONS = 2
 """So many contradicted looks in a row end a join."""
@@ -30,7 +30,7 @@ SEARCH_AGAIN_NS = 10_000_000_000
 NEAR_MISS_CONFIDENCE = 0.2
 """A refused pair is searched again when one of its maps has changed its known area by this share, but not before this
 time, unless the refusal was as near as this to a join: young maps grow fast, and share too little yet."""
-THOROUGH_GROWTH = 1.0
+THOROUGH_GROWTH = 7.0
 """A search is thorough where one of the maps has grown by this share since the pair's last thorough search or its
 first one, where it is to confirm a candidate, and where no map changes any more."""
 MAX_THOROUGH = 2

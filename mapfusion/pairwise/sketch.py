@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.pairwise.poses import Poses
 from mapfusion.pairwise.refine import SAME_SIDE_COSINE
-from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Indices, Surface, SurfaceField
+from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Floats, Surface, SurfaceField
 
 NEAR_CELLS = 6
 """A wall this near a wall seen from the same side agrees with it."""
@@ -23,18 +24,28 @@ KNOWN, AGREES, CONTRADICTS = 1, 1 << 10, 1 << 20
 
 def sketch(field: SurfaceField) -> Bytes:
     """(H, W) codes of the cells of a field."""
-    codes = direction_bins(field.surface).astype(np.uint8).take(field.nearest)
+    bins = np.floor(directions(field.surface) + np.float32(0.5)).astype(np.int32) % NUM_BINS
+    codes: Bytes = bins.astype(np.uint8).take(field.nearest)
     codes |= (field.distance > NEAR_CELLS) * _NOT_NEAR
     codes |= ((field.distance > DEEP_CELLS) & (field.depth > DEEP_CELLS)) * _DEEP
     codes |= (field.depth == NOT_KNOWN) * _UNKNOWN
     return codes
 
 
-def direction_bins(surface: Surface, turns_rad: npt.NDArray[np.float64] | float = 0.0) -> Indices:
-    """Bin of the direction that each wall faces, turned; (N,), or (K, N) for (K, 1) turns."""
-    angles = np.arctan2(surface.normals[:, 1], surface.normals[:, 0]) + np.asarray(turns_rad, np.float32)
-    bins: Indices = np.floor(angles * (NUM_BINS / (2.0 * np.pi)) + 0.5).astype(np.int32) % NUM_BINS
+def directions(surface: Surface) -> Floats:
+    """(N,) direction that each wall faces, in bins, from -NUM_BINS / 2 to NUM_BINS / 2."""
+    angles = np.arctan2(surface.normals[:, 1], surface.normals[:, 0])
+    bins: Floats = angles * np.float32(NUM_BINS / (2.0 * np.pi))
     return bins
+
+
+def meetings(codes: Bytes, facing: Floats, turns_rad: Poses) -> npt.NDArray[np.int32]:
+    """(K, N) what N walls that face `facing` (N,), turned by `turns_rad` (K,), meet in cells of `codes` (K, N)."""
+    # Half a turn more makes every bin positive, half a bin more rounds it by cutting it off.
+    turns = np.remainder(turns_rad, 2.0 * np.pi) * (NUM_BINS / (2.0 * np.pi)) + (NUM_BINS / 2 + 0.5)
+    rows = (facing + turns[:, None].astype(np.float32)).astype(np.int32)
+    met: npt.NDArray[np.int32] = _TURNED_MEETINGS.take(rows * NUM_CODES + codes)
+    return met
 
 
 def _meetings() -> npt.NDArray[np.int32]:
@@ -47,4 +58,5 @@ def _meetings() -> npt.NDArray[np.int32]:
     return np.where(codes & _UNKNOWN > 0, 0, meets).astype(np.int32)
 
 
-MEETINGS = _meetings()
+_TURNED_MEETINGS = _meetings().take(np.arange(2 * NUM_BINS + 1) + NUM_BINS // 2, axis=0, mode="wrap")
+"""The same for directions to which half a turn was added, none of them reduced to a whole turn."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, KNOWN, MEETINGS, NUM_BINS, direction_bins
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, KNOWN, NUM_BINS, directions, meetings
 from mapfusion.pairwise.surface import FIELD_MARGIN
 from tests.fakes import flat, grid_of
 
@@ -22,8 +22,11 @@ def room() -> PreparedMap:
 
 def met(room: PreparedMap, x: int, y: int, facing_deg: float) -> int:
     """What a wall at a cell of the room, counted from its outermost wall cell, meets there."""
-    bin_ = round(facing_deg / (360 / NUM_BINS)) % NUM_BINS
-    return int(MEETINGS[bin_, room.sketch[y + FIELD_MARGIN, x + FIELD_MARGIN]])
+    codes = room.sketch[y + FIELD_MARGIN, x + FIELD_MARGIN].reshape(1, 1)
+    east = np.zeros(1, np.float32)
+    (turned,), (whole_turn_more,) = (meetings(codes, east, np.radians([facing_deg + more])) for more in (0.0, 360.0))
+    assert turned == whole_turn_more
+    return int(turned[0])
 
 
 def test_a_wall_agrees_near_a_wall_that_faces_alike(room: PreparedMap) -> None:
@@ -40,10 +43,8 @@ def test_what_is_unknown_says_nothing(room: PreparedMap) -> None:
     assert met(room, -8, 32, 0.0) == 0
 
 
-def test_directions_turn_with_the_map(room: PreparedMap) -> None:
+def test_directions_are_those_of_the_normals(room: PreparedMap) -> None:
     assert room.field is not None
-    there = direction_bins(room.field.surface)
-    quarter = direction_bins(room.field.surface, np.array([[0.0], [np.pi / 2.0]]))
-    assert quarter.shape == (2, len(there))
-    np.testing.assert_array_equal(quarter[0], there)
-    assert np.isin((quarter[1] - there) % NUM_BINS, [NUM_BINS // 4 - 1, NUM_BINS // 4, NUM_BINS // 4 + 1]).all()
+    facing = directions(room.field.surface) * (2.0 * np.pi / NUM_BINS)
+    normals = np.stack([np.cos(facing), np.sin(facing)], axis=-1)
+    np.testing.assert_allclose(normals, room.field.surface.normals, atol=1e-5)
