@@ -58,7 +58,7 @@ class Look(NamedTuple):
         pair: The robots, the fusion's target first.
         T_a_b: The transform to verify, None for a search.
         found: The search that found the transform, where it was one.
-        is_thorough: Whether a search that finds nothing is to try everything.
+        is_thorough: Whether a thorough search is to follow where a quick one finds nothing.
     """
 
     pair: Pair
@@ -153,7 +153,11 @@ class Joins:
         chosen = [pair for _, pair in wanted][: None if snapshot.is_last else MAX_SEARCHES]
         worth_all = [pair for pair in chosen if self.has_thorough and _is_worth_all(self._states[pair], pair, snapshot)]
         thorough = worth_all[: MAX_LAST_THOROUGH if snapshot.is_last else MAX_THOROUGH]
-        return [Look(pair, None, is_thorough=pair in thorough) for pair in chosen]
+        # A quick search of maps that did not change would find what it found before.
+        changed = [pair for pair in chosen if self._states[pair].versions != _versions(pair, snapshot)]
+        return [
+            Look(pair, None, is_thorough=pair in thorough) for pair in chosen if pair in thorough or pair in changed
+        ]
 
     def record(self, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
         """Takes note of a look; says so where a join ended."""

@@ -25,7 +25,7 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
         target: Map into whose frame the source is to be brought.
         source: The other map, prepared at the same resolution.
         config: Thresholds.
-        is_thorough: Whether every rotation is tried where a quick search finds nothing to join by.
+        is_thorough: Whether a thorough search follows where a quick one finds nothing to join by.
 
     Returns:
         The verdict with its evidence. Exchanging the maps gives the inverse: the work is done in one order, by content.

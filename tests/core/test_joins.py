@@ -94,6 +94,17 @@ def test_a_refused_pair_is_searched_thoroughly_once_when_nothing_changes_any_mor
     assert joins.due(snapshot(second=99.0, is_last=True, a=1, b=1), {}) == []
 
 
+def test_maps_that_did_not_change_are_not_searched_quickly_again() -> None:
+    joins = Joins()
+    first = snapshot(a=1, b=1, c=1)
+    look(joins, first, REFUSED, REFUSED, REFUSED)
+    settled = snapshot(second=SETTLED_NS / SECOND_NS, a=1, b=1, c=1)
+    looks = joins.due(settled, {})
+    assert [one.is_thorough for one in looks] == [True] * MAX_THOROUGH
+    look(joins, settled, *[REFUSED] * MAX_THOROUGH)
+    assert [one.is_thorough for one in joins.due(settled, {})] == [True]
+
+
 def test_what_confirms_a_candidate_is_searched_as_thoroughly_as_what_found_it() -> None:
     joins = Joins()
     look(joins, snapshot(a=1, b=1), ACCEPTED)
