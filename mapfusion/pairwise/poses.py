@@ -49,8 +49,12 @@ def pose_from_centre(theta: npt.NDArray[np.float64], centre_in_target: Poses, ce
 def differ(poses: Poses, others: Poses, centre: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:
     """(J, K) which of J `poses` and K `others` differ: by over `cells` at the source's `centre` (2,), or `degrees`."""
     here, there = (centre_moved(some, centre) for some in (poses, others))
-    gap = here[:, None] - there
-    turn = np.abs(np.remainder(poses[:, 2, None] - others[:, 2] + math.pi, 2 * math.pi) - math.pi)
+    return _are_apart(here[:, None] - there, poses[:, 2, None] - others[:, 2], cells, degrees)
+
+
+def _are_apart(gap: Poses, turn_rad: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:
+    """Whether gaps (..., 2) are over `cells`, or turns (...) over `degrees`."""
+    turn = np.abs(np.remainder(turn_rad + math.pi, 2 * math.pi) - math.pi)
     result: npt.NDArray[np.bool_] = (np.square(gap).sum(axis=-1) > cells**2) | (turn > math.radians(degrees))
     return result
 
@@ -63,15 +67,13 @@ def centre_moved(poses: Poses, centre: Poses) -> Poses:
 
 def distinct(poses: Poses, centre: Poses, cells: float, degrees: float, count: int) -> list[int]:
     """Indices of the first `count` of the poses (K, 3) that do not lie near an earlier one; near as in `differ`."""
-    at, theta, radians = centre_moved(poses, centre), poses[:, 2], math.radians(degrees)
+    at, theta = centre_moved(poses, centre), poses[:, 2]
     chosen: list[int] = []
     apart = np.ones(len(poses), np.bool_)
     while len(chosen) < count and apart.any():
         first = int(apart.argmax())
         chosen.append(first)
-        turn = np.abs(np.remainder(theta - theta[first] + math.pi, 2 * math.pi) - math.pi)
-        apart &= (np.square(at - at[first]).sum(axis=-1) > cells**2) | (turn > radians)
-        apart[first] = False
+        apart &= _are_apart(at - at[first], theta - theta[first], cells, degrees)
     return chosen
 
 
