@@ -7,7 +7,7 @@ import numpy as np
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.confidence import MAX_MARGIN, Figures, confidence, margin
-from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
 from mapfusion.result import PairFusion
@@ -30,7 +30,7 @@ KNOWN_MARGIN = 3.0
 MIN_CONFIDENCE = 0.82
 SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 70.0
 """Maps that share less than this of the smaller one need so much evidence: the less they share, the more ways there are
-to share it. So do maps that contradict each other."""
+to share it. So do maps that contradict each other, and few walls that agree loosely only: they leave the pose loose."""
 FEW_LINES, MIN_RATIO_OF_FEW = 8.0, 0.9
 """Where they share as few walls as two things have, nearly all of the walls must agree: two things that stand alike in
 both are no place yet."""
@@ -113,8 +113,9 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "chance", (
             "agreement is no better than what a search finds between unrelated maps: "
             f"{agreement} (evidence {figures['net']:.0f}, at least {least_evidence(figures):.0f} is needed "
-            f"with {figures['mutual_ratio']:.0%} of the smaller map in common and walls in the other's free space at "
-            f"{figures['contradiction']:.0%} of chance)"
+            f"with {figures['mutual_ratio']:.0%} of the smaller map in common, walls in the other's free space at "
+            f"{figures['contradiction']:.0%} of chance, about {figures['lines']:.0f} different walls within "
+            f"{figures['tolerance_cells']:g} cells)"
         )
     if figures["contradiction"] > MAX_CONTRADICTION:
         return "contradiction", (
@@ -157,8 +158,9 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 
 def least_evidence(figures: Figures) -> float:
     """The net evidence that a pose with these figures needs."""
+    is_loose = figures["lines"] < FEW_LINES and figures["tolerance_cells"] >= max(TOLERANCES_CELLS)
     is_doubtful = figures["mutual_ratio"] < SMALL_OVERLAP or figures["contradiction"] > SOME_CONTRADICTION
-    return MORE_EVIDENCE if is_doubtful else MIN_EVIDENCE
+    return MORE_EVIDENCE if is_doubtful or is_loose else MIN_EVIDENCE
 
 
 def are_few_things(figures: Figures) -> bool:
