@@ -83,11 +83,10 @@ class SurfaceField:
 def remove_speckle(walls: Mask) -> Mask:
     """The walls without islands of fewer than SPECKLE_CELLS cells."""
     _, labels = cv2.connectedComponents(walls.view(np.uint8), connectivity=8)
-    rows, cols = _nonzero(walls.view(np.uint8))
-    islands = labels[rows, cols]
-    is_speck = np.bincount(islands)[islands] < SPECKLE_CELLS
+    cells = np.flatnonzero(walls)
+    islands = np.asarray(labels).ravel().take(cells)
     kept = walls.copy()
-    kept[rows[is_speck], cols[is_speck]] = False
+    kept.ravel()[cells[np.bincount(islands)[islands] < SPECKLE_CELLS]] = False
     return kept
 
 
@@ -114,7 +113,8 @@ def extract_surface(walls: Mask, free: Mask) -> Surface:
     """The rim of `walls` towards `free` (both (H, W) masks), in row-major order."""
     solid = walls.astype(np.uint8)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    rows, cols = _nonzero(np.asarray(cv2.dilate(solid, cross) & free.view(np.uint8), np.uint8))
+    rim = np.asarray(cv2.dilate(solid, cross), np.uint8).view(np.bool_) & free
+    rows, cols = np.divmod(np.flatnonzero(rim), walls.shape[1])
     blurred = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), NORMAL_SIGMA, borderType=cv2.BORDER_REPLICATE)
     slope_x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0)[rows, cols]
     slope_y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1)[rows, cols]
@@ -127,47 +127,42 @@ def extract_surface(walls: Mask, free: Mask) -> Surface:
 
 
 def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
-    """The field of a surface of at least one point; `free` and `known` are the map's (H, W) masks."""
-    elsewhere, rows, columns = _all_but(surface.points, free.shape)
+    """The field of a surface of at least one point, as `extract_surface` gives it: one a cell, in row-major order.
+
+    `free` and `known` are the map's (H, W) masks.
+    """
+    elsewhere = _all_but(surface.points, free.shape)
     distance, labels = cv2.distanceTransformWithLabels(elsewhere, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    order = np.zeros(len(surface) + 1, np.int32)
-    order[labels[rows, columns]] = np.arange(len(surface), dtype=np.int32)
+    nearest = np.asarray(labels, np.int32)  # counted from 1, in row-major order as well
+    nearest -= 1
+    # Whole cells are wanted: rounding less almost a half cuts off.
     free_depth = cv2.distanceTransform(_with_margin(free), cv2.DIST_L2, 3)
-    depth = np.minimum(free_depth, NOT_KNOWN - 1, out=free_depth).astype(np.uint8)
+    depth = cv2.min(cv2.convertScaleAbs(free_depth, beta=-0.4999), NOT_KNOWN - 1)  # type: ignore[call-overload]
     near_known = cv2.dilate(_with_margin(known), np.ones((3, 3), np.uint8))
-    depth |= (near_known == 0) * np.uint8(NOT_KNOWN)
-    walls = np.concatenate([surface.points.T, surface.normals.T])
+    depth = cv2.max(depth, cv2.compare(near_known, 0, cv2.CMP_EQ))  # type: ignore[call-overload]
     return SurfaceField(
         surface=surface,
-        walls=np.ascontiguousarray(walls),
-        nearest=order.take(np.asarray(labels)),
+        walls=np.concatenate([surface.points.T, surface.normals.T]),
+        nearest=nearest,
         distance=np.asarray(cv2.convertScaleAbs(distance), np.uint8),
-        depth=depth,
+        depth=np.asarray(depth, np.uint8),
     )
 
 
 def distance_to(points: Points, shape: tuple[int, ...]) -> Floats:
     """Cells from each cell to the nearest of `points` (N, 2), in a map of `shape` and FIELD_MARGIN around it."""
-    return np.asarray(cv2.distanceTransform(_all_but(points, shape)[0], cv2.DIST_L2, 3), np.float32)
+    return np.asarray(cv2.distanceTransform(_all_but(points, shape), cv2.DIST_L2, 3), np.float32)
 
 
-def _all_but(points: Points, shape: tuple[int, ...]) -> tuple[Bytes, Indices, Indices]:
-    """1 but for 0 at the cells of `points`, in a map of `shape` and FIELD_MARGIN around it; their rows and columns.
+def _all_but(points: Points, shape: tuple[int, ...]) -> Bytes:
+    """1 but for 0 at the cells of `points`, in a map of `shape` and FIELD_MARGIN around it.
 
     What lies beyond the margin counts at its edge.
     """
     elsewhere = np.ones((shape[0] + 2 * FIELD_MARGIN, shape[1] + 2 * FIELD_MARGIN), np.uint8)
     columns, rows = (points + np.float32(FIELD_MARGIN)).astype(np.int32).T
-    rows, columns = rows.clip(0, elsewhere.shape[0] - 1), columns.clip(0, elsewhere.shape[1] - 1)
-    elsewhere[rows, columns] = 0
-    return elsewhere, rows, columns
-
-
-def _nonzero(image: Bytes) -> tuple[Indices, Indices]:
-    """Rows and columns of what is not 0, in row-major order."""
-    found = cv2.findNonZero(image)
-    cells = np.zeros((0, 2), np.int32) if found is None else np.asarray(found, np.int32).reshape(-1, 2)
-    return cells[:, 1], cells[:, 0]
+    elsewhere[rows.clip(0, elsewhere.shape[0] - 1), columns.clip(0, elsewhere.shape[1] - 1)] = 0
+    return elsewhere
 
 
 def _with_margin(mask: Mask) -> Bytes:
