@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mapfusion.newest import NewestGrid
 from mapfusion.posegraph import Edge, Pair, pair_key, strongest
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement, natural_key
@@ -44,9 +45,10 @@ MAX_SEARCHES = 4
 DISPUTED_OVERLAP = 0.2
 DISPUTING_GATES = ("contradiction", "mae")
 """Maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
-FOLLOW_CHANGE = 0.05
+FOLLOW_NEW, FOLLOW_TURNED = 0.1, 0.25
 FOLLOW_NS = 30_000_000_000
-"""A join is verified anew when cells that are this share of a map have changed, at the latest after this time."""
+"""A join is verified anew when this share of a map is new, when walls came and went in known cells that are this share
+of its walls, and at the latest after this time."""
 SETTLED_NS = 10_000_000_000
 """A fusion that nothing confirmed or contradicted for this long, because no map changed, joins."""
 
@@ -74,7 +76,7 @@ class _PairState:
     Attributes:
         versions: Of the two grids when the pair was looked at last.
         looked_ns: When that was.
-        looked_changed: Cells of the two robots' grids that had changed by then, see `NewestGrid`.
+        looked_changes: By then, `num_new` and `num_turned` of the two robots' grids, see `NewestGrid`.
         searched_cells: Known cells of the two grids when it was searched last.
         thorough_cells: The same of its last thorough search, of its first search before there was one.
         was_thorough: Whether its last search was thorough.
@@ -89,7 +91,7 @@ class _PairState:
 
     versions: tuple[int, int] = (0, 0)
     looked_ns: int = 0
-    looked_changed: tuple[int, int] = (0, 0)
+    looked_changes: tuple[int, ...] = (0, 0, 0, 0)
     searched_cells: tuple[int, int] | None = None
     thorough_cells: tuple[int, int] | None = None
     was_thorough: bool = False
@@ -163,7 +165,7 @@ class Joins:
         """Takes note of a look; says so where a join ended."""
         state = self._states[look.pair]
         state.versions, state.looked_ns = _versions(look.pair, snapshot), snapshot.stamp_ns
-        state.looked_changed = _changed_cells(look.pair, snapshot)
+        state.looked_changes = _changes(look.pair, snapshot)
         if state.edge is not None:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
@@ -249,8 +251,13 @@ def _is_worth_all(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
 def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
     if snapshot.stamp_ns - state.looked_ns >= FOLLOW_NS or state.contradictions > 0:
         return True
-    changed = np.subtract(_changed_cells(pair, snapshot), state.looked_changed)
-    return bool((changed > FOLLOW_CHANGE * np.array(_known_cells(pair, snapshot))).any())
+    new_a, turned_a, new_b, turned_b = np.subtract(_changes(pair, snapshot), state.looked_changes)
+    a, b = (snapshot.grids[robot] for robot in pair)
+    return bool(_is_changed(a, new_a, turned_a) or _is_changed(b, new_b, turned_b))
+
+
+def _is_changed(newest: NewestGrid, num_new: int, num_turned: int) -> bool:
+    return num_new > FOLLOW_NEW * newest.num_known or num_turned > FOLLOW_TURNED * newest.num_walls
 
 
 def _confirms(state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> bool:
@@ -293,5 +300,6 @@ def _known_cells(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
     return snapshot.grids[pair[0]].num_known, snapshot.grids[pair[1]].num_known
 
 
-def _changed_cells(pair: Pair, snapshot: Snapshot) -> tuple[int, int]:
-    return snapshot.grids[pair[0]].num_changed, snapshot.grids[pair[1]].num_changed
+def _changes(pair: Pair, snapshot: Snapshot) -> tuple[int, ...]:
+    a, b = (snapshot.grids[robot] for robot in pair)
+    return a.num_new, a.num_turned, b.num_new, b.num_turned

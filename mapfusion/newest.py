@@ -29,8 +29,10 @@ class NewestGrid:
         version: Counts the robot's grids from 1.
         grid: The grid.
         num_known: Number of its known cells.
-        num_changed: Cells that became known or changed between free, wall and between, over all of the robot's grids.
-            Across a change of the lattice only the number of known cells can be compared.
+        num_walls: Number of its walls' cells.
+        num_new: Cells that became known, over all of the robot's grids. Across a change of the lattice only the number
+            of known cells can be compared.
+        num_turned: Known cells in which a wall came or went, over all of the robot's grids on one lattice.
         middle_m: (2,) middle of the box around its known cells, in the grid's frame.
         since_ns: (height, width) int64, since when each cell has been free, wall, between or unknown as it is now, as
             far as the robot's grids tell.
@@ -41,7 +43,9 @@ class NewestGrid:
     version: int
     grid: OccupancyGrid
     num_known: int
-    num_changed: int
+    num_walls: int
+    num_new: int
+    num_turned: int
     middle_m: FloatArray
     since_ns: StampArray
     classes: npt.NDArray[np.uint8]
@@ -55,14 +59,18 @@ class NewestGrid:
         left, top, width, height = cv2.boundingRect(known)
         middle = np.array([left + 0.5 * width, top + 0.5 * height]) * grid.resolution_m
         since_ns = np.full(grid.cells.shape, stamp_ns, np.int64)
-        num_kept = None if before is None else _keep_times(since_ns, grid, classes, before)
-        num_before, num_changed = (0, 0) if before is None else (before.num_known, before.num_changed)
+        num_new, num_turned = num_known, 0
+        if before is not None:
+            num_common, turned = _keep_times(since_ns, grid, classes, before)
+            num_new, num_turned = before.num_new + abs(num_known - num_common), before.num_turned + turned
         return cls(
             stamp_ns=stamp_ns,
             version=1 if before is None else before.version + 1,
             grid=grid,
             num_known=num_known,
-            num_changed=num_changed + (abs(num_known - num_before) if num_kept is None else num_known - num_kept),
+            num_walls=int(np.count_nonzero(classes == _WALL)),
+            num_new=num_new,
+            num_turned=num_turned,
             middle_m=grid.T_frame_grid.apply(middle),
             since_ns=since_ns,
             classes=classes,
@@ -71,25 +79,28 @@ class NewestGrid:
 
 def _keep_times(
     since_ns: StampArray, grid: OccupancyGrid, classes: npt.NDArray[np.uint8], before: NewestGrid
-) -> int | None:
-    """Gives the cells of `grid` that keep their class their old time in `since_ns`; how many of them are known.
+) -> tuple[int, int]:
+    """Gives the cells of `grid` that keep their class their old time in `since_ns`.
 
-    None where the grids do not lie on one lattice.
+    Returns:
+        How many cells were known before and are known now, and in how many of them a wall came or went. Those that were
+        known before, and 0, where the grids do not lie on one lattice.
     """
     shift = _shift(before.grid, grid)
     if shift is None:
-        return None
+        return before.num_known, 0
     row, col = shift
     top, left = max(0, -row), max(0, -col)
     bottom, right = min(grid.height, before.grid.height - row), min(grid.width, before.grid.width - col)
     if top >= bottom or left >= right:
-        return 0
+        return 0, 0
     here = np.s_[top:bottom, left:right]
     there = np.s_[top + row : bottom + row, left + col : right + col]
     now, old = classes[here], before.classes[there]
-    same = now == old
-    np.copyto(since_ns[here], before.since_ns[there], where=same)
-    return int(np.count_nonzero(same & (now != _UNKNOWN)))
+    np.copyto(since_ns[here], before.since_ns[there], where=now == old)
+    both_known = (now != _UNKNOWN) & (old != _UNKNOWN)
+    turned = both_known & ((now == _WALL) != (old == _WALL))
+    return int(np.count_nonzero(both_known)), int(np.count_nonzero(turned))
 
 
 def _shift(before: OccupancyGrid, grid: OccupancyGrid) -> tuple[int, int] | None:

@@ -177,11 +177,21 @@ def joined() -> Joins:
 def test_a_join_is_verified_and_refined_from_where_it_stood() -> None:
     joins = joined()
     assert joins.due(snapshot(second=1.0, a=2, b=1), {}) == []
-    assert joins.due(snapshot(second=1.0, known=11, a=2, b=1), {}) == [Look(AB, T, CERTAIN)]
+    assert joins.due(snapshot(second=1.0, known=11, a=2, b=1), {}) == []
+    assert joins.due(snapshot(second=1.0, known=12, a=2, b=1), {}) == [Look(AB, T, CERTAIN)]
     at = snapshot(second=FOLLOW_NS / SECOND_NS, a=2, b=1)
     assert joins.due(at, {}) == [Look(AB, T, CERTAIN)]
     look(joins, at, replace(ACCEPTED, T_target_source=SE2(1.1, 2.0, 0.3)))
     assert joins.held[AB].T_a_b == SE2(1.1, 2.0, 0.3)
+
+
+def test_a_join_is_verified_when_walls_came_and_went() -> None:
+    joins = joined()
+    at = snapshot(second=1.0, a=2, b=1)
+    walls = replace(at.grids["a"], num_walls=40)
+    for num_turned, is_due in ((10, False), (11, True)):
+        grids = {**at.grids, "a": replace(walls, num_turned=num_turned)}
+        assert bool(joins.due(replace(at, grids=grids), {})) is is_due
 
 
 def test_a_join_outlasts_doubt_and_a_single_contradiction() -> None:

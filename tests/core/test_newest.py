@@ -35,17 +35,19 @@ def test_grids_that_share_no_cell() -> None:
     assert (NewestGrid.of(20, grid_of(flat(4, 4, 0), 0.5, SE2(50.0, 0.0, 0.0)), first).since_ns == 20).all()
 
 
-def test_what_changed_is_counted_over_all_grids_of_a_robot() -> None:
+def test_new_cells_and_walls_that_came_or_went_are_counted_over_all_grids_of_a_robot() -> None:
     first = NewestGrid.of(10, grid_of(np.array([[0, 100], [-1, 0]], np.int8)))
-    assert first.num_changed == 3
+    assert (first.num_known, first.num_walls, first.num_new, first.num_turned) == (3, 1, 3, 0)
     same = NewestGrid.of(20, first.grid, first)
-    assert same.num_changed == 3
-    # A wall that became free, a cell that became known, a free cell that is a little less sure.
-    second = NewestGrid.of(30, grid_of(np.array([[10, 0], [100, 0]], np.int8)), same)
-    assert second.num_changed == 3 + 2
+    assert (same.num_new, same.num_turned) == (3, 0)
+    # A wall that became free, a wall where nothing was known, a free cell that is a little less sure.
+    second = NewestGrid.of(30, grid_of(np.array([[40, 0], [100, 0]], np.int8)), same)
+    assert (second.num_known, second.num_walls, second.num_new, second.num_turned) == (4, 1, 4, 1)
+    third = NewestGrid.of(40, grid_of(np.array([[100, 100], [-1, 0]], np.int8)), second)
+    assert (third.num_new, third.num_turned) == (4, 3)
 
 
 def test_across_a_change_of_the_lattice_the_known_cells_are_compared() -> None:
     first = NewestGrid.of(10, grid_of(flat(4, 4, 0), 0.5))
     shifted = NewestGrid.of(20, grid_of(flat(4, 5, 0), 0.5, SE2(0.2, 0.0, 0.0)), first)
-    assert shifted.num_changed == 16 + 4
+    assert (shifted.num_new, shifted.num_turned) == (16 + 4, 0)
