@@ -80,7 +80,8 @@ class ReplayConfig:
         never: Pairs of robots that must not come into one group.
         max_merged_cells: A merged map of more cells is not made.
         start_ns: No snapshot before this time; grids from before it still count. None: from the first stamp.
-        jobs: Threads that fuse pairs, >= 1. Changes the time, never the result.
+        jobs: How many pairs are looked at at once, >= 1: from 2 on in as many processes of their own. Changes the time,
+            never the result.
         fusion: How two maps are fused.
     """
 

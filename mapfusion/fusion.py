@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from mapfusion.config import FusionConfig
 from mapfusion.grid import OccupancyGrid
@@ -12,14 +12,6 @@ from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 
 PreparedT = TypeVar("PreparedT")
-ItemT = TypeVar("ItemT")
-ResultT = TypeVar("ResultT")
-
-
-class Map(Protocol):
-    """Applies a function to every item, in order, as `map` does; may use several threads."""
-
-    def __call__(self, function: Callable[[ItemT], ResultT], items: Iterable[ItemT], /) -> Iterable[ResultT]: ...
 
 
 def fuse_pair(target: OccupancyGrid, source: OccupancyGrid, config: FusionConfig | None = None) -> PairFusion:
@@ -37,23 +29,12 @@ def fuse_pair(target: OccupancyGrid, source: OccupancyGrid, config: FusionConfig
 
 
 class PairFuser:
-    """Fuses pairs and keeps what was worked out about each map, so that its features are detected once.
-
-    May be used from several threads; the results do not depend on it.
-    """
+    """Fuses pairs and keeps what was worked out about each map, so that its features are detected once."""
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
         self._paper_maps = _Prepared(paper.prepare)
         self._default_maps = _Prepared(default.prepare)
-
-    def prepare(self, pairs: Iterable[tuple[OccupancyGrid, OccupancyGrid]], each: Map) -> None:
-        """Works out what looking at these pairs needs, for each map once however many threads look at them."""
-        wanted = [(grid, max(a.resolution_m, b.resolution_m)) for a, b in pairs for grid in (a, b)]
-        if self._config.profile == "paper":
-            self._paper_maps.prepare(wanted, each)
-        else:
-            self._default_maps.prepare(wanted, each)
 
     def fuse(self, target: OccupancyGrid, source: OccupancyGrid, is_thorough: bool = True) -> PairFusion:
         """As `fuse_pair`; unless it is to be thorough, what a quick search does not find is not found."""
@@ -91,10 +72,6 @@ class _Prepared(Generic[PreparedT]):
     def __init__(self, prepare: Callable[[OccupancyGrid, float], PreparedT]) -> None:
         self._prepare = prepare
         self._by_grid: dict[tuple[OccupancyGrid, float], PreparedT] = {}
-
-    def prepare(self, wanted: Iterable[tuple[OccupancyGrid, float]], each: Map) -> None:
-        missing = [key for key in dict.fromkeys(wanted) if key not in self._by_grid]
-        self._by_grid.update(zip(missing, each(lambda key: self._prepare(*key), missing), strict=True))
 
     def of(self, grid: OccupancyGrid, resolution_m: float) -> PreparedT:
         key = (grid, resolution_m)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mapfusion.ahead import ahead
 from mapfusion.canvas import fitting
 from mapfusion.config import ReplayConfig
-from mapfusion.fusion import Map, PairFuser
+from mapfusion.fusion import PairFuser
 from mapfusion.grid import OccupancyGrid
 from mapfusion.groups import Groups
 from mapfusion.joins import Joins, Look
@@ -23,6 +23,10 @@ from mapfusion.steps import Event, FusionStep, PairReport, Path, Placement, Pose
 from mapfusion.timeline import Snapshot, snapshots
 from mapfusion.transform import SE2, FloatArray
 from mapfusion.witnesses import checked_by, witnesses
+from mapfusion.workers import Fuser, Map, Workers
+
+NUM_AHEAD = 3
+"""So many snapshots are read, and looked at, before they are asked for."""
 
 
 def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Iterator[FusionStep]:
@@ -40,49 +44,68 @@ def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Itera
         ValueError: Events out of order.
     """
     config = config or ReplayConfig()
-    fuser, groups = PairFuser(config.fusion), Groups(config.reference)
-    joins = Joins(config.never, has_thorough=config.fusion.profile == "default")
-    priors, maps, poses = Priors(config.priors, config.reference), _MergedMaps(config), _Poses(config.interval_s)
-    placements: Mapping[str, Placement] = {}
-    with _concurrent_map(config.jobs) as each:
-        for snapshot in snapshots(events, config):
-            fusions, pair_changes = _look_at_pairs(snapshot, placements, joins, fuser, priors, config, each)
-            ties = priors.fixed_edges(snapshot.grids) if config.priors else {}
-            update = groups.update(separated(joins.held | ties, config.never))
-            placements = update.placements
-            contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]
-            for pair in update.dropped:
-                joins.drop(pair)
+    maps, poses = _MergedMaps(config), _Poses(config.interval_s)
+    with ExitStack() as stack:
+        for state in _states(events, config, stack):
+            snapshot, placements = state.snapshot, state.placements
             merged, left_out = maps.due(snapshot, placements)
             yield FusionStep(
                 stamp_ns=snapshot.stamp_ns,
                 is_last=snapshot.is_last,
                 placements=placements,
                 poses=poses.at(snapshot, placements),
-                pairs=tuple(_report(pair, fusion, snapshot, placements) for pair, fusion in fusions.items()),
+                pairs=tuple(_report(pair, fusion, snapshot, placements) for pair, fusion in state.fusions.items()),
                 maps=merged,
-                changes=(*pair_changes, *contradicted, *update.changes),
+                changes=state.changes,
                 paths=_paths(snapshot, placements) if snapshot.is_last else {},
                 map_frames={robot: event.map_frame for robot, event in snapshot.robots.items()},
                 left_out=left_out,
             )
 
 
-@contextmanager
-def _concurrent_map(jobs: int) -> Iterator[Map]:
-    """`map`, over threads where there are several jobs: OpenCV and numpy let go of the interpreter's lock."""
-    if jobs == 1:
-        yield map
-    else:
-        with ThreadPoolExecutor(jobs) as executor:
-            yield executor.map
+@dataclass(frozen=True, slots=True)
+class _State:
+    """What is known at a snapshot: who lies where, and the looks that were taken at pairs."""
+
+    snapshot: Snapshot
+    placements: Mapping[str, Placement]
+    fusions: Mapping[Pair, PairFusion]
+    changes: tuple[str, ...]
+
+
+def _states(events: Iterable[Event], config: ReplayConfig, stack: ExitStack) -> Iterator[_State]:
+    """The state at every snapshot; with several jobs reading, looking at pairs and the rest go on side by side."""
+    read = snapshots(events, config)
+    if config.jobs == 1:
+        return _looked_at(read, config, PairFuser(config.fusion), map)
+    workers = Workers(config.fusion, config.jobs)
+    states = _looked_at(stack.enter_context(ahead(read, NUM_AHEAD)), config, workers, workers.each)
+    states = stack.enter_context(ahead(states, NUM_AHEAD))
+    stack.callback(workers.close)  # first of all: whoever waits for an answer must not wait any longer
+    return states
+
+
+def _looked_at(read: Iterator[Snapshot], config: ReplayConfig, fuser: Fuser, each: Map) -> Iterator[_State]:
+    """Looks at the pairs of every snapshot and places the robots."""
+    groups, priors = Groups(config.reference), Priors(config.priors, config.reference)
+    joins = Joins(config.never, has_thorough=config.fusion.profile == "default")
+    placements: Mapping[str, Placement] = {}
+    for snapshot in read:
+        fusions, pair_changes = _look_at_pairs(snapshot, placements, joins, fuser, priors, config, each)
+        ties = priors.fixed_edges(snapshot.grids) if config.priors else {}
+        update = groups.update(separated(joins.held | ties, config.never))
+        placements = update.placements
+        contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]
+        for pair in update.dropped:
+            joins.drop(pair)
+        yield _State(snapshot, placements, fusions, (*pair_changes, *contradicted, *update.changes))
 
 
 def _look_at_pairs(
     snapshot: Snapshot,
     placements: Mapping[str, Placement],
     joins: Joins,
-    fuser: PairFuser,
+    fuser: Fuser,
     priors: Priors,
     config: ReplayConfig,
     each: Map,
@@ -90,15 +113,6 @@ def _look_at_pairs(
     """Verifies or searches every pair that is due, and takes note in `joins`; says which joins began or ended."""
     looks = joins.due(snapshot, placements)
     fuser.forget_all_but(newest.grid for newest in snapshot.grids.values())
-
-    def take_all(looks: list[Look]) -> list[PairFusion]:
-        fuser.prepare(
-            [(snapshot.grids[a].grid, snapshot.grids[b].grid) for a, b in (look.pair for look in looks)], each
-        )
-        searches = [look for look in looks if look.T_a_b is None]
-        found = dict(zip((look.pair for look in searches), each(take, searches), strict=True))
-        # Verifying is many small steps: threads would wait for each other longer than they work side by side.
-        return [take(look) if look.T_a_b is not None else found[look.pair] for look in looks]
 
     def take(look: Look) -> PairFusion:
         a, b = (snapshot.grids[robot].grid for robot in look.pair)
@@ -113,11 +127,11 @@ def _look_at_pairs(
         near = checked(fuser.verify(a, b, prior.T_a_b), prior)
         return near if near.accepted else checked(fuser.fuse(a, b, look.is_thorough), prior)
 
-    fusions = {look.pair: fusion for look, fusion in zip(looks, take_all(looks), strict=True)}
+    fusions = {look.pair: fusion for look, fusion in zip(looks, each(take, looks), strict=True)}
     changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks]
     for pair, fusion in joins.ripe(snapshot).items():
         asked = witnesses(pair, fusion, snapshot, placements)
-        verdict = checked_by(fusion, asked, take_all(asked))
+        verdict = checked_by(fusion, asked, list(each(take, asked)))
         if verdict.accepted:
             changes.append(joins.join(pair, verdict, snapshot))
         else:

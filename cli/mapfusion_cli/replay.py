@@ -112,7 +112,10 @@ def replay(
     ] = False,
     compression: Annotated[Compression, typer.Option(help="Compression of the output.")] = Compression.zstd,
     jobs: Annotated[
-        int, typer.Option(metavar="N", help="Threads that prepare maps and search pairs. Never changes the result.")
+        int,
+        typer.Option(
+            metavar="N", help="Processes that fuse pairs, from 2 on beside this one. Never changes the result."
+        ),
     ] = 1,
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of everything random.")] = 0,
     max_chunk: MaxChunkOption = MAX_CHUNK_MIB,

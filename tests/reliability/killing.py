@@ -41,7 +41,7 @@ def whole_run_s(recording: Path, output: Path) -> float:
 
 
 def complaints(recording: Path, folder: Path, count: int, seed: int) -> tuple[list[str], int]:
-    """Kills runs at random times, by SIGKILL, SIGTERM and SIGINT by turns.
+    """Kills runs at random times, by SIGKILL, SIGTERM and SIGINT by turns, with one job and with two by turns.
 
     Returns:
         What was wrong, and how many runs were killed before their end.
@@ -52,7 +52,8 @@ def complaints(recording: Path, folder: Path, count: int, seed: int) -> tuple[li
     wrong, num_killed = [], 0
     for number in range(count):
         sent = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)[number % 3]
-        with started("replay", recording, output, "-q", "--force") as process:
+        jobs = 1 + number // 3 % 2
+        with started("replay", recording, output, "-q", "--force", "--jobs", jobs) as process:
             time.sleep(chosen.uniform(0.0, lasts_s))
             process.send_signal(sent)
             _, err = process.communicate()
