@@ -114,6 +114,8 @@ def test_field_names_the_nearest_point_and_the_depth_of_free_space() -> None:
     points = np.array([[[20.5, 55.5, 9.5], [20.5, 20.5, 20.5]]], np.float32)
     cells = field.cells_below(points)[0]
     np.testing.assert_allclose(surface.points[field.nearest.ravel()[cells]], [[12.5, 20.5]] * 3)
+    rim = field.cells_below(surface.points.T[None])[0]
+    assert field.nearest.ravel()[rim].tolist() == list(range(len(surface)))
     depth = field.depth.ravel()[cells]
     assert depth[0] == pytest.approx(9, abs=1)
     assert depth[1] == NOT_KNOWN
