@@ -13,33 +13,36 @@ from collections.abc import Mapping
 Figures = Mapping[str, float]
 
 PLAUSIBILITY = {
-    "net": 1.042,
-    "crossing": -1.161,
-    "lines": 1.431,
-    "gain": 1.537,
-    "inliers_wide": 0.327,
-    "keypoints": 1.03,
-    "inliers_near": 0.722,
+    "net": 1.285,
+    "crossing": -0.735,
+    "run": -0.573,
+    "lines": 2.268,
+    "gain": 1.377,
+    "inliers_wide": 1.049,
+    "keypoints": 0.79,
+    "inliers_near": 1.355,
 }
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -25.645,
-    "net": 1.738,
-    "gain": 0.603,
-    "lines": 4.002,
-    "run": -0.959,
-    "crossing": -1.644,
-    "margin": 0.68,
-    "opposite": -15.632,
-    "overlap": 3.297,
-    "outside": 7.438,
-    "keypoints": 0.798,
+    "bias": -26.224,
+    "net": 1.613,
+    "gain": 0.815,
+    "lines": 3.955,
+    "run": -0.635,
+    "crossing": -1.75,
+    "margin": 0.881,
+    "opposite": -13.942,
+    "overlap": 3.223,
+    "outside": 7.932,
+    "keypoints": 0.386,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 
-MAX_NET = 30.0
-"""More evidence than this tells no more: what repeats itself has it too."""
+MAX_NET, MAX_RANKED_NET = 30.0, 100.0
+"""More evidence than this tells no more, of a pose alone and of two: what repeats itself has it too."""
+WIDE_BY_CHANCE, NEAR_BY_CHANCE = 15.0, 6.0
+"""About as many matches are explained by wrong poses as well."""
 MAX_LINES = 20.0
 """More walls than these tell no more."""
 MAX_OUTSIDE = 0.7
@@ -53,13 +56,14 @@ KNOWN_KEYPOINTS = 2.5
 def plausibility_terms(figures: Figures) -> dict[str, float]:
     """What the plausibility of a pose with these figures is made of."""
     return {
-        "net": _log(figures["net"]),
+        "net": _log(min(figures["net"], MAX_RANKED_NET)),
         "crossing": _log_crossing(figures),
+        "run": math.log1p(figures["crossing_cells"]),
         "lines": _log(figures["lines"]),
         "gain": _log_gain(figures),
-        "inliers_wide": math.log1p(figures["inliers_wide"]),
+        "inliers_wide": math.log(figures["inliers_wide"] + WIDE_BY_CHANCE),
         "keypoints": figures["keypoints"],
-        "inliers_near": math.log1p(figures["inliers_near"]),
+        "inliers_near": math.log(figures["inliers_near"] + NEAR_BY_CHANCE),
     }
 
 

@@ -1,8 +1,11 @@
-"""Hypotheses from the walls as a whole: their normals correlated over rotations and translations.
+"""Hypotheses from the maps as a whole: walls and free space correlated over rotations and translations.
 
-The rim's normals are drawn as complex numbers; the real part of the cross-correlation of two such images sums the
-cosines between normals that fall together, so walls seen from opposite sides count against a pose. Rotations are
-tried in the order in which the two maps' wall directions correlate.
+The cross-correlation of the images of two rims' normals sums the cosines between normals that fall together, so walls
+seen from opposite sides count against a pose. Alone it favours poses that put much wall onto much wall. Where maps
+share little, the right pose shows by what is missing: no wall of either map stands in the other's free space. So the
+peaks are taken twice, of the correlation of the normals and of what is left when walls in free space are subtracted;
+bent maps are found by the first only. Rotations are tried in the order in which the two maps' wall directions
+correlate.
 Sources: orientation correlation, Fitch et al., BMVC 2002; the Hough spectrum, Carpin, Autonomous Robots 2008.
 """
 
@@ -15,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mapfusion.pairwise.poses import Poses, pose_from_centre
-from mapfusion.pairwise.surface import Floats, Surface
+from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats, Points, Surface, SurfaceField
+
+Places = npt.NDArray[np.floating]
 
 MAX_SIZE = 216
 """Edge of the correlated images, coarse cells."""
@@ -25,44 +30,60 @@ DIRECTION_SIGMA_DEGREES = 2.0
 NUM_POINTS = 2000
 PEAKS_PER_ROTATION = 3
 PEAK_RADIUS = 2
+DEEP_CELLS = 6
+"""A wall this deep in free space, and this far from any wall of that map, contradicts it."""
+CONTRADICTION_WEIGHT = 0.25
+"""What a wall in free space takes away, of what a wall brings that agrees."""
 
 
-def correlate(target: Surface, source: Surface, centre: Poses, num_rotations: int, count: int) -> Poses:
-    """Up to `count` poses (K, 3) with the highest correlation, best first.
+def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, first: int, last: int) -> Poses:
+    """The peaks of both correlations at the likeliest rotations.
 
     Args:
-        target: Surface of the target.
-        source: Surface of the source.
+        target: Field of the target.
+        source: Field of the source.
         centre: (2,) point of the source about which it is turned, cells.
-        num_rotations: How many rotations are tried.
-        count: How many poses to give.
+        first: Number of the first of them that is tried, from 0; they are ordered by likelihood.
+        last: Number of the one before which to stop.
+
+    Returns:
+        Poses (K, 3) of the source in the target, in cells; 2 PEAKS_PER_ROTATION a rotation.
     """
-    rotations = likely_rotations(target, source)[:num_rotations]
-    target, source = target.thinned(NUM_POINTS), source.thinned(NUM_POINTS)
-    low, high = target.points.min(axis=0), target.points.max(axis=0)
-    arms = source.points - centre.astype(np.float32)
-    reach = float(np.linalg.norm(arms, axis=-1).max())
-    extent = float((high - low).max()) + 2.0 * reach
+    rotations = likely_rotations(target.surface, source.surface)[first:last]
+    there, here = target.surface.thinned(NUM_POINTS), source.surface.thinned(NUM_POINTS)
+    low, high = there.points.min(axis=0), there.points.max(axis=0)
+    about = centre.astype(np.float32)
+    arms, deep_arms = here.points - about, _deep(source) - about
+    reach = np.float32(np.linalg.norm(arms, axis=-1).max())
+    extent = float((high - low).max() + 2.0 * reach)
     stride = np.float32(max(MIN_STRIDE, math.ceil(extent / (MAX_SIZE - 4))))
     size = cv2.getOptimalDFTSize(math.ceil(extent / stride) + 4)
-    image = _draw((target.points - low) / stride, target.normals, size)
-    spectrum = cv2.dft(cv2.GaussianBlur(image, (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT))
-    found: list[tuple[float, float, int, int]] = []
+
+    deep = _deep(target)
+    deep = deep[((deep >= low) & (deep <= high)).all(axis=1)]
+    deep_arms = deep_arms[np.square(deep_arms).sum(axis=1) <= reach**2]
+
+    x, y, rim, free = _images((there.points - low) / stride, there.normals, (deep - low) / stride, size)
+    # A wall that agrees brings as much as there is of the other map's walls in its coarse cell.
+    of_cell = CONTRADICTION_WEIGHT * (MIN_STRIDE / stride) ** 2
+    free *= of_cell * _density(rim)
+    rim *= of_cell * _density(_draw((arms + reach) / stride, size))
+    blurred = [cv2.GaussianBlur(image, (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT) for image in (x, y)]
+    of_target = [cv2.dft(image) for image in (*blurred, free, rim)]
+    peaks: list[tuple[float, int, int]] = []
     for theta in rotations:
         c, s = math.cos(theta), math.sin(theta)
         R = np.array([[c, s], [-s, c]], np.float32)
-        turned = _draw((arms @ R + np.float32(reach)) / stride, source.normals @ R, size)
-        product = cv2.mulSpectrums(spectrum, cv2.dft(turned), 0, conjB=True)
-        score = np.ascontiguousarray(cv2.dft(product, flags=cv2.DFT_INVERSE)[..., 0])
-        for _ in range(PEAKS_PER_ROTATION):
-            _, value, _, (x, y) = cv2.minMaxLoc(score)
-            found.append((value, theta, x, y))
-            near_y = slice(max(0, y - PEAK_RADIUS), y + PEAK_RADIUS + 1)
-            score[near_y, max(0, x - PEAK_RADIUS) : x + PEAK_RADIUS + 1] = 0.0
-    peaks = np.array(sorted(found, key=lambda peak: -peak[0])[:count])
+        images = _images((arms @ R + reach) / stride, here.normals @ R, (deep_arms @ R + reach) / stride, size)
+        of_source = [cv2.dft(image) for image in images]
+        in_x, in_y, in_free, in_rim = map(_correlation, of_target, of_source)
+        agreeing = in_x + in_y
+        for spectrum in (agreeing, agreeing - in_free - in_rim):
+            peaks += [(theta, *peak) for peak in _peaks(cv2.dft(spectrum, flags=cv2.DFT_INVERSE))]
+    found = np.array(peaks)
     # Beyond the target's far edge the circular correlation means a shift to the other side.
-    shift = peaks[:, 2:] - np.where(peaks[:, 2:] > (high - low) / stride + 1, size, 0)
-    return pose_from_centre(peaks[:, 1], shift * stride + reach + low, centre)
+    shift = found[:, 1:] - np.where(found[:, 1:] > (high - low) / stride + 1, size, 0)
+    return pose_from_centre(found[:, 0], shift * stride + reach + low, centre)
 
 
 def likely_rotations(target: Surface, source: Surface) -> npt.NDArray[np.float64]:
@@ -84,10 +105,42 @@ def _directions(surface: Surface) -> npt.NDArray[np.float64]:
     return centred
 
 
-def _draw(at: Floats, normals: Floats, size: int) -> Floats:
-    """(size, size, 2) image of the sums of the normals that fall into each cell."""
-    cell = at[:, 1].astype(np.int32) * size + at[:, 0].astype(np.int32)
-    image = np.empty((size * size, 2), np.float32)
-    for i in (0, 1):
-        image[:, i] = np.bincount(cell, normals[:, i], size * size)
-    return image.reshape(size, size, 2)
+def _deep(field: SurfaceField) -> Points:
+    """(N, 2) cells of a raster in which a wall would contradict the map; MIN_STRIDE from one to the next."""
+    raster = np.s_[FIELD_MARGIN + MIN_STRIDE // 2 : -FIELD_MARGIN : MIN_STRIDE]
+    depth, distance = field.depth[raster, raster], field.distance[raster, raster]
+    rows, cols = np.nonzero((depth > DEEP_CELLS) & (depth != NOT_KNOWN) & (distance > DEEP_CELLS))
+    return np.stack([cols, rows], axis=-1).astype(np.float32) * MIN_STRIDE + np.float32(MIN_STRIDE // 2 + 0.5)
+
+
+def _images(at: Places, normals: Floats, deep_at: Places, size: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """(size, size) images of the rim's normals in x and in y, of its points, and of the deep free cells."""
+    return _draw(at, size, normals[:, 0]), _draw(at, size, normals[:, 1]), _draw(at, size), _draw(deep_at, size)
+
+
+def _draw(at: Places, size: int, values: Floats | None = None) -> Floats:
+    """(size, size) image of the sum of the values, or the number, of the points (N, 2) in each cell."""
+    cells = at.astype(np.int32)
+    image = np.bincount(cells[:, 1] * size + cells[:, 0], values, size * size)
+    return image.astype(np.float32).reshape(size, size)
+
+
+def _density(image: Floats) -> np.float32:
+    """Mean of what is not 0."""
+    return np.float32(image.sum() / max(1, np.count_nonzero(image)))
+
+
+def _correlation(one: cv2.typing.MatLike, other: cv2.typing.MatLike) -> Floats:
+    """Spectrum of the cross-correlation of two images, given theirs."""
+    return np.asarray(cv2.mulSpectrums(one, other, 0, conjB=True), np.float32)
+
+
+def _peaks(score: cv2.typing.MatLike) -> list[tuple[int, int]]:
+    """Column and row of the highest values, none within PEAK_RADIUS of a higher one."""
+    found = []
+    for _ in range(PEAKS_PER_ROTATION):
+        _, _, _, (x, y) = cv2.minMaxLoc(score)
+        found.append((x, y))
+        rows = slice(max(0, y - PEAK_RADIUS), y + PEAK_RADIUS + 1)
+        score[rows, max(0, x - PEAK_RADIUS) : x + PEAK_RADIUS + 1] = -np.inf
+    return found

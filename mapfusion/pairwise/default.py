@@ -7,8 +7,8 @@ from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
 from mapfusion.pairwise.poses import Poses, from_se2, to_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.search import QUICK, THOROUGH, Effort, Finding, examine, propose, recheck, with_rivals_of
-from mapfusion.pairwise.voting import Matches, match
+from mapfusion.pairwise.search import QUICK, THOROUGH, Finding, examine, propose, recheck, with_rivals_of
+from mapfusion.pairwise.voting import match
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 
@@ -36,11 +36,13 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     if refusal is not None:
         return refusal
     matches = match(target.features, source.features)
-    quickly = _searched(target, source, matches, QUICK)
+    proposed = propose(target, source, matches, QUICK)
+    quickly = examine(target, source, proposed, matches, QUICK)
     quick = _judged(target, source, config, quickly)
     if quick.confidence >= SURE if quick.accepted else not is_thorough:
         return quick
-    thoroughly = _searched(target, source, matches, THOROUGH)
+    proposed = propose(target, source, matches, THOROUGH, proposed)
+    thoroughly = examine(target, source, proposed, matches, THOROUGH)
     if quick.accepted:
         checked = _judged(target, source, config, with_rivals_of(quickly, thoroughly, target, source))
         if checked.accepted:
@@ -62,10 +64,6 @@ def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, confi
     between_corners = target.grid.T_frame_grid.inverse() @ T_target_source @ source.grid.T_frame_grid
     known = from_se2(between_corners, target.grid.resolution_m)
     return _judged(target, source, config, recheck(target, source, known))
-
-
-def _searched(target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort) -> Finding:
-    return examine(target, source, propose(target, source, matches, effort), matches, effort)
 
 
 def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, finding: Finding) -> PairFusion:

@@ -46,7 +46,6 @@ class Effort:
     Attributes:
         num_voted: How many poses are taken from the keypoints' votes.
         num_rotations: How many rotations of the walls as a whole are tried.
-        num_correlated: How many poses are taken from them.
         num_starts: How many poses are refined roughly.
         num_candidates: How many of them finely.
         is_stepped: Whether the poses around a pose are tried before it is refined.
@@ -55,7 +54,6 @@ class Effort:
 
     num_voted: int
     num_rotations: int
-    num_correlated: int
     num_starts: int
     num_candidates: int
     is_stepped: bool
@@ -65,7 +63,6 @@ class Effort:
 QUICK = Effort(
     num_voted=60,
     num_rotations=12,
-    num_correlated=60,
     num_starts=24,
     num_candidates=8,
     is_stepped=False,
@@ -74,7 +71,6 @@ QUICK = Effort(
 THOROUGH = Effort(
     num_voted=200,
     num_rotations=40,
-    num_correlated=300,
     num_starts=32,
     num_candidates=16,
     is_stepped=True,
@@ -123,14 +119,19 @@ class Finding:
     num_keypoints: tuple[int, int] = (0, 0)
 
 
-def propose(target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort = QUICK) -> Poses:
-    """Hypotheses (K, 3) from features and from the walls as a whole."""
+def propose(
+    target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort = QUICK, known: Poses | None = None
+) -> Poses:
+    """Hypotheses (K, 3) from features and from the maps as a whole.
+
+    With those that a quick search of the maps had, `known`, its rotations are not tried again.
+    """
     assert target.field is not None
     assert source.field is not None
     voted = vote(target.features, source.features, matches, source.centre, effort.num_voted)
-    walls = target.field.surface, source.field.surface
-    whole = correlate(*walls, source.centre, effort.num_rotations, effort.num_correlated)
-    return np.concatenate([voted, whole])
+    first = 0 if known is None else QUICK.num_rotations
+    whole = correlate(target.field, source.field, source.centre, first, effort.num_rotations)
+    return np.concatenate([voted, whole] if known is None else [voted, known, whole])
 
 
 def examine(

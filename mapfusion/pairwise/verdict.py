@@ -27,7 +27,9 @@ MIN_MARGIN, SLIDING_MARGIN = 0.5, 2.0
 the walls hold one direction so weakly that the pose may slide."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
-MIN_CONFIDENCE = 0.82
+MIN_CONFIDENCE = 0.84
+MIN_RATIO = 0.2
+"""Least share of the walls in the common area that must agree, however few would by chance."""
 SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 70.0
 """Maps that share less than this of the smaller one need so much evidence: the less they share, the more ways there are
 to share it. So do maps that contradict each other, and few walls that agree loosely only: they leave the pose loose."""
@@ -117,6 +119,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"{figures['contradiction']:.0%} of chance, about {figures['lines']:.0f} different walls within "
             f"{figures['tolerance_cells']:g} cells)"
         )
+    if figures["ratio"] < MIN_RATIO:
+        return "chance", f"too few walls agree: {agreement}, at least {MIN_RATIO:.0%} must"
     if figures["contradiction"] > MAX_CONTRADICTION:
         return "contradiction", (
             f"walls stand in the other map's free space, {figures['contradiction']:.0%} of what chance would put there "

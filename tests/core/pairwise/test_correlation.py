@@ -5,38 +5,59 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
-from mapfusion.pairwise.correlation import correlate, likely_rotations
-from mapfusion.pairwise.poses import differ
+from mapfusion.evaluation.pairs import make_pair
+from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION, correlate, likely_rotations
+from mapfusion.pairwise.poses import differ, from_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.surface import Surface
+from mapfusion.pairwise.surface import SurfaceField
 from mapfusion.transform import SE2
 from tests.fakes import rooms, seen_from
 
 T_A_B = SE2(20.0, 8.0, 2.0)
 
 
-def surfaces() -> tuple[Surface, Surface, PreparedMap]:
+def fields() -> tuple[SurfaceField, SurfaceField, PreparedMap]:
     place = rooms(seed=3)
     a, b = (prepare(seen_from(place, T, (220, 230)), 0.1) for T in (SE2.identity(), T_A_B))
     assert a.field is not None
     assert b.field is not None
-    return a.field.surface, b.field.surface, b
+    return a.field, b.field, b
 
 
-def test_right_pose_is_among_the_best() -> None:
-    target, source, prepared = surfaces()
-    poses = correlate(target, source, prepared.centre, 20, 30)
+def test_right_pose_is_among_the_peaks() -> None:
+    target, source, prepared = fields()
+    poses = correlate(target, source, prepared.centre, 0, 5)
     corner_b = prepared.grid.T_frame_grid
     truth = T_A_B @ corner_b
     pose = np.array([truth.x_m / 0.1, truth.y_m / 0.1, truth.yaw_rad])
-    assert len(poses) == 30
+    assert len(poses) == 5 * 2 * PEAKS_PER_ROTATION
     assert not differ(pose[None], poses, prepared.centre, 8.0, 3.0).all()
 
 
 def test_likely_rotations_are_all_rotations_the_right_one_early() -> None:
-    target, source, _ = surfaces()
-    rotations = likely_rotations(target, source)
+    target, source, _ = fields()
+    rotations = likely_rotations(target.surface, source.surface)
     assert np.unique(rotations).size == 120
     away = np.abs(np.remainder(rotations[:8] - 2.0 + math.pi, 2 * math.pi) - math.pi)
     assert away.min() < math.radians(2.0)
+
+
+def test_rotations_can_be_tried_in_parts() -> None:
+    target, source, prepared = fields()
+    first, rest = (correlate(target, source, prepared.centre, *part) for part in ((0, 3), (3, 8)))
+    np.testing.assert_array_equal(np.concatenate([first, rest]), correlate(target, source, prepared.centre, 0, 8))
+
+
+@pytest.mark.parametrize("seed", [52170, 61344, 61452])
+def test_maps_that_share_little_are_found_by_what_does_not_contradict(seed: int) -> None:
+    pair = make_pair("floor-plans", True, seed)
+    assert pair.T_target_source is not None
+    target, source = prepare(pair.target, 0.05), prepare(pair.source, 0.05)
+    assert target.field is not None
+    assert source.field is not None
+    poses = correlate(target.field, source.field, source.centre, 0, 12)
+    truth = from_se2(target.grid.T_frame_grid.inverse() @ pair.T_target_source @ source.grid.T_frame_grid, 0.05)
+    near = ~differ(truth[None], poses, source.centre, 10.0, 5.0)[0].reshape(12, 2, PEAKS_PER_ROTATION)
+    assert near.any(axis=(0, 2)).tolist() == [False, True]
