@@ -43,7 +43,6 @@ from mapfusion.pairwise.verdict import (
     MIN_CONFIDENCE,
     MIN_MARGIN,
     MIN_RATIO,
-    MIN_RATIO_OF_FEW,
     SLIDING_MARGIN,
     are_few_things,
     least_evidence,
@@ -327,7 +326,7 @@ def report(all_judged: Sequence[Judged]) -> None:
     best = [one.figures[0] for one in all_judged]
     joined = sure >= MIN_CONFIDENCE
     joined &= np.array([f["net"] >= least_evidence(f) and f["ratio"] >= MIN_RATIO for f in best])
-    joined &= np.array([not are_few_things(f) or f["ratio"] >= MIN_RATIO_OF_FEW for f in best])
+    joined &= np.array([not are_few_things(f) for f in best])
     sliding = np.array([figures["conditioning"] < search.SLIDING_CONDITIONING for figures in best])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])

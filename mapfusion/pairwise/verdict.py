@@ -33,9 +33,9 @@ MIN_RATIO = 0.2
 SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 70.0
 """Maps that share less than this of the smaller one need so much evidence: the less they share, the more ways there are
 to share it. So do maps that contradict each other, and few walls that agree loosely only: they leave the pose loose."""
-FEW_LINES, MIN_RATIO_OF_FEW = 8.0, 0.9
-"""Where they share as few walls as two things have, nearly all of the walls must agree: two things that stand alike in
-both are no place yet."""
+FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
+"""Where they share as few walls as two things have, nearly all of the walls must agree, or long ones: two things that
+stand alike in both are no place yet."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
@@ -126,11 +126,11 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"walls stand in the other map's free space, {figures['contradiction']:.0%} of what chance would put there "
             f"(at most {MAX_CONTRADICTION:.0%}); {agreement}"
         )
-    if are_few_things(figures) and figures["ratio"] < MIN_RATIO_OF_FEW:
+    if are_few_things(figures):
         return "chance", (
             f"one or two things that stand alike in both maps: about {figures['lines']:.0f} different walls agree and "
             f"{figures['mutual_ratio']:.0%} of the smaller map is in common, so {MIN_RATIO_OF_FEW:.0%} of the walls "
-            f"would have to; {agreement}"
+            f"would have to, or the evidence to be {MUCH_EVIDENCE:.0f} (is {figures['net']:.0f}); {agreement}"
         )
     if figures["conditioning"] < MIN_CONDITIONING:
         return "one direction", (
@@ -169,7 +169,8 @@ def least_evidence(figures: Figures) -> float:
 
 def are_few_things(figures: Figures) -> bool:
     """Whether what agrees may be one or two things that stand alike in two places."""
-    return figures["mutual_ratio"] < SMALL_OVERLAP and figures["lines"] < FEW_LINES
+    is_little = figures["mutual_ratio"] < SMALL_OVERLAP and figures["lines"] < FEW_LINES
+    return is_little and figures["ratio"] < MIN_RATIO_OF_FEW and figures["net"] < MUCH_EVIDENCE
 
 
 def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_target_source: SE2) -> FloatArray:

@@ -71,7 +71,7 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
         ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3)),
         ("chance", finding(net=60.0, rival_net=5.0, contradiction=0.3)),
         ("chance", finding(net=60.0, rival_net=5.0, lines=7.0, tolerance_cells=6.0)),
-        ("chance", finding(lines=7.0, ratio=0.8, mutual_ratio=0.3)),
+        ("chance", finding(net=90.0, rival_net=5.0, lines=7.0, ratio=0.8, mutual_ratio=0.3)),
         ("chance", finding(ratio=0.15, chance=0.005)),
         ("contradiction", finding(contradiction=0.7)),
         ("one direction", finding(conditioning=0.001)),
