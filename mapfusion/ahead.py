@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from queue import Full, Queue
-from threading import Event, Thread
+from contextlib import contextmanager
+from queue import SimpleQueue
+from threading import Thread
 from typing import TypeVar
 
 ItemT = TypeVar("ItemT")
 
-_WAIT_S = 0.1
-"""How soon a thread whose items are no longer wanted notices it."""
+PATIENCE_S = 0.5
+"""So long a thread whose items are no longer wanted is waited for; one that is at a long item is left to end alone."""
 
 
 @contextmanager
@@ -19,27 +19,23 @@ def ahead(items: Iterator[ItemT], depth: int) -> Iterator[Iterator[ItemT]]:
     """The same items in the same order, up to `depth` of them made before they are asked for.
 
     `items` is used, and closed, in the thread alone. What it raises is raised where its next item would have come.
-    When the context ends, the thread has ended as well.
     """
-    made: Queue[tuple[ItemT] | BaseException | None] = Queue(depth)
-    unwanted = Event()
-
-    def put(item: tuple[ItemT] | BaseException | None) -> None:
-        while not unwanted.is_set():
-            with suppress(Full):
-                made.put(item, timeout=_WAIT_S)
-                break
+    # Simple queues hold no lock that an exception from a signal's handler could leave taken.
+    made: SimpleQueue[tuple[ItemT] | BaseException | None] = SimpleQueue()
+    places: SimpleQueue[bool] = SimpleQueue()
+    for _ in range(depth):
+        places.put(True)
 
     def run() -> None:
         try:
             for item in items:
-                put((item,))
-                if unwanted.is_set():
+                if not places.get():
                     break
+                made.put((item,))
         except BaseException as error:  # whatever it is, it is the reader's to handle
-            put(error)
+            made.put(error)
         else:
-            put(None)
+            made.put(None)
         finally:
             close = getattr(items, "close", None)
             if close is not None:
@@ -49,6 +45,7 @@ def ahead(items: Iterator[ItemT], depth: int) -> Iterator[Iterator[ItemT]]:
         while (item := made.get()) is not None:
             if isinstance(item, BaseException):
                 raise item
+            places.put(True)
             yield item[0]
 
     thread = Thread(target=run, name="ahead", daemon=True)
@@ -56,5 +53,7 @@ def ahead(items: Iterator[ItemT], depth: int) -> Iterator[Iterator[ItemT]]:
     try:
         yield taken()
     finally:
-        unwanted.set()
-        thread.join()
+        while not places.empty():
+            places.get()
+        places.put(False)
+        thread.join(PATIENCE_S)

@@ -26,14 +26,15 @@ from mapfusion.witnesses import checked_by, witnesses
 from mapfusion.workers import Fuser, Map, Workers
 
 NUM_AHEAD = 3
-"""So many snapshots are read, and looked at, before they are asked for."""
+"""So many snapshots are read, and looked at, before they are asked for: each holds its maps in memory."""
 
 
 def replay(events: Iterable[Event], config: ReplayConfig | None = None) -> Iterator[FusionStep]:
     """Fuses a mission over time.
 
     Args:
-        events: Robots before their grids, grids in the order of their stamps; taken one by one, never held.
+        events: Robots before their grids, grids in the order of their stamps; taken one by one, never held. With
+            several jobs they are taken in a thread of its own, a little ahead.
         config: Settings; the defaults where None.
 
     Returns:
@@ -79,10 +80,11 @@ def _states(events: Iterable[Event], config: ReplayConfig, stack: ExitStack) -> 
     if config.jobs == 1:
         return _looked_at(read, config, PairFuser(config.fusion), map)
     workers = Workers(config.fusion, config.jobs)
-    states = _looked_at(stack.enter_context(ahead(read, NUM_AHEAD)), config, workers, workers.each)
-    states = stack.enter_context(ahead(states, NUM_AHEAD))
-    stack.callback(workers.close)  # first of all: whoever waits for an answer must not wait any longer
-    return states
+    try:
+        states = _looked_at(stack.enter_context(ahead(read, NUM_AHEAD)), config, workers, workers.each)
+        return stack.enter_context(ahead(states, NUM_AHEAD))
+    finally:
+        stack.callback(workers.close)  # closed first of all: whoever waits for an answer must not wait any longer
 
 
 def _looked_at(read: Iterator[Snapshot], config: ReplayConfig, fuser: Fuser, each: Map) -> Iterator[_State]:

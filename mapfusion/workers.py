@@ -30,6 +30,9 @@ from mapfusion.transform import SE2
 ItemT = TypeVar("ItemT")
 ResultT = TypeVar("ResultT")
 
+_READY = b"\0mapfusion is ready\0"
+"""Precedes a worker's answers: whatever the interpreter printed while it started stands before."""
+
 
 class Fuser(Protocol):
     """Looks at pairs of maps: a PairFuser, or the processes that have one each."""
@@ -82,7 +85,7 @@ class Workers:
     def __init__(self, config: FusionConfig, max_workers: int) -> None:
         self._config, self._max_workers = config, max_workers
         self._workers = [_Worker(config)]
-        self._idle, self._changed = list(self._workers), Condition()
+        self._idle, self._changed, self._is_closed = list(self._workers), Condition(), False
         self._threads = ThreadPoolExecutor(max_workers)
 
     def fuse(self, target: OccupancyGrid, source: OccupancyGrid, is_thorough: bool = True) -> PairFusion:
@@ -109,9 +112,11 @@ class Workers:
 
     def close(self) -> None:
         """Ends the workers, whatever they are at."""
+        with self._changed:
+            self._is_closed = True
         for worker in self._workers:
             worker.end()
-        self._threads.shutdown()
+        self._threads.shutdown(cancel_futures=True)
 
     def _ask(
         self, target: OccupancyGrid, source: OccupancyGrid, T_target_source: SE2 | None, is_thorough: bool
@@ -127,6 +132,8 @@ class Workers:
     def _take(self, target: OccupancyGrid, source: OccupancyGrid) -> _Worker:
         """An idle worker, the one that has most of the maps."""
         with self._changed:
+            if self._is_closed:
+                raise MapfusionError("the processes that fuse maps were ended")
             if not self._idle and len(self._workers) < self._max_workers:
                 self._workers.append(_Worker(self._config))
                 return self._workers[-1]
@@ -142,10 +149,16 @@ class _Worker:
     def __init__(self, config: FusionConfig) -> None:
         # Not by `multiprocessing`: it would run the caller's script once more. A session of its own keeps a terminal's
         # Ctrl-C from it: its parent ends it.
-        code = f"import sys; sys.path[:] = {sys.path!r}; from mapfusion.workers import serve_parent; serve_parent()"
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
-        )
+        folders = [__file__.rpartition("mapfusion")[0], *(folder for folder in sys.path if isinstance(folder, str))]
+        code = f"import sys; sys.path[:] = {folders!r}; from mapfusion.workers import serve_parent; serve_parent()"
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+            )
+        except OSError as error:
+            raise MapfusionError(
+                f"no process can be started to fuse maps ({error}); with one job none is needed"
+            ) from error
         self._numbers: dict[OccupancyGrid, int] = {}
         self._next_number = count()
         self._config = config
@@ -181,12 +194,16 @@ class _Worker:
         try:
             if self._is_new:
                 _send(self._config, self._process.stdin)
+                _skip_to(_READY, self._process.stdout)
                 self._is_new = False
             _send(request, self._process.stdin)
             reply = pickle.load(self._process.stdout)
         except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(1.0)
+            code = self._process.returncode
             raise MapfusionError(
-                f"a process that fuses maps ended (exit code {self._process.poll()}); with one job none is needed"
+                f"a process that fuses maps ended (exit code {code}); with one job none is needed"
             ) from error
         if isinstance(reply, BaseException):
             raise reply
@@ -216,13 +233,15 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     """Answers requests until they end; before the first one comes the configuration."""
     try:
         fuser = PairFuser(pickle.load(requests))
+        replies.write(_READY)
+        replies.flush()
         grids: dict[int, OccupancyGrid] = {}
         while True:
             request: Request = pickle.load(requests)
             grids = {number: grid for number, grid in {**grids, **request.new}.items() if number in request.kept}
             fuser.forget_all_but(grids.values())
             _send(_answer(fuser, grids[request.target], grids[request.source], request), replies)
-    except EOFError:
+    except (EOFError, pickle.UnpicklingError):  # the parent is gone, maybe in the middle of a request
         return
 
 
@@ -233,6 +252,15 @@ def _answer(fuser: PairFuser, target: OccupancyGrid, source: OccupancyGrid, requ
         return fuser.verify(target, source, request.T_target_source)
     except Exception as error:  # the parent raises it
         return error
+
+
+def _skip_to(marker: bytes, stream: IO[bytes]) -> None:
+    read = b""
+    while not read.endswith(marker):
+        byte = stream.read(1)
+        if not byte:
+            raise EOFError
+        read = (read + byte)[-len(marker) :]
 
 
 def _send(message: object, stream: IO[bytes]) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapfusion.pairwise.poses import Poses, pose_from_centre
-from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats, Points, Surface, SurfaceField
+from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats, Indices, Points, Surface, SurfaceField
 
 Places = npt.NDArray[np.floating]
 
@@ -67,7 +67,7 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, first: 
     # A wall that agrees brings as much as there is of the other map's walls in its coarse cell.
     of_cell = CONTRADICTION_WEIGHT * (MIN_STRIDE / stride) ** 2
     free *= of_cell * _density(rim)
-    rim *= of_cell * _density(_draw((arms + reach) / stride, size))
+    rim *= of_cell * _density(_image(np.bincount(_cells((arms + reach) / stride, size), minlength=size * size)))
     blurred = [cv2.GaussianBlur(image, (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT) for image in (x, y)]
     of_target = [cv2.dft(image) for image in (*blurred, free, rim)]
     peaks: list[tuple[float, int, int]] = []
@@ -115,14 +115,26 @@ def _deep(field: SurfaceField) -> Points:
 
 def _images(at: Places, normals: Floats, deep_at: Places, size: int) -> tuple[Floats, Floats, Floats, Floats]:
     """(size, size) images of the rim's normals in x and in y, of its points, and of the deep free cells."""
-    return _draw(at, size, normals[:, 0]), _draw(at, size, normals[:, 1]), _draw(at, size), _draw(deep_at, size)
+    cells = _cells(at, size)
+    return (
+        _image(np.bincount(cells, normals[:, 0], size * size)),
+        _image(np.bincount(cells, normals[:, 1], size * size)),
+        _image(np.bincount(cells, minlength=size * size)),
+        _image(np.bincount(_cells(deep_at, size), minlength=size * size)),
+    )
 
 
-def _draw(at: Places, size: int, values: Floats | None = None) -> Floats:
-    """(size, size) image of the sum of the values, or the number, of the points (N, 2) in each cell."""
+def _cells(at: Places, size: int) -> Indices:
+    """(N,) flat index of the cell of an image of `size` in which each point (N, 2) lies."""
     cells = at.astype(np.int32)
-    image = np.bincount(cells[:, 1] * size + cells[:, 0], values, size * size)
-    return image.astype(np.float32).reshape(size, size)
+    flat: Indices = cells[:, 1] * size + cells[:, 0]
+    return flat
+
+
+def _image(values: npt.NDArray[np.number]) -> Floats:
+    """The values of all cells as a square image."""
+    size = math.isqrt(len(values))
+    return values.astype(np.float32).reshape(size, size)
 
 
 def _density(image: Floats) -> np.float32:

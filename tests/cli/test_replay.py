@@ -224,13 +224,17 @@ def test_three_real_bags_of_one_robot_each(mapfusion: Command, tmp_path: Path) -
     ran = mapfusion("replay", *bags, output, "--align-start", "--interval", 5, "--json")
     assert ran.code == 0
     robots = json.loads(ran.out)["robots"]
-    assert set(robots) == {"1", "2", "3"}
+    assert {robot: found["group"] for robot, found in robots.items()} == {"1": 1, "2": 1, "3": 1}
     assert "/fused/pairs/r_1/r_2" in topics(output)
     truth = json.loads((folder / "truth.json").read_text())
     # The middle of each robot's known area in its own frame, as the recordings' README gives it.
+    # The world is the frame of one of the two that join first; the truth is told from the first robot.
+    placed = {
+        robot: SE2(T["x_m"], T["y_m"], math.radians(T["yaw_deg"]))
+        for robot, T in ((robot, found["T_group_map"]) for robot, found in robots.items())
+    }
     for robot, middle in (("2", (15.4, 40.8)), ("3", (17.7, 42.5))):
-        placed = robots[robot]["T_group_map"]
-        found = SE2(placed["x_m"], placed["y_m"], math.radians(placed["yaw_deg"]))
+        found = placed["1"].inverse() @ placed[robot]
         true = SE2(*truth[f"T_1_{robot}"])
         assert math.dist(found.apply(np.array(middle)), true.apply(np.array(middle))) < 0.3
         assert math.degrees(found.distance_to(true)[1]) < 3.0

@@ -1,9 +1,10 @@
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
 
-from mapfusion.ahead import ahead
+from mapfusion.ahead import PATIENCE_S, ahead
 
 
 def test_items_come_in_order_and_the_thread_ends() -> None:
@@ -52,3 +53,17 @@ def test_what_is_not_wanted_any_more_is_closed_in_its_own_thread() -> None:
     with ahead(endless(), 2) as items:
         next(items)
     assert closed_by == ["ahead"]
+
+
+def test_a_thread_that_is_at_a_long_item_is_not_waited_for() -> None:
+    may_end = threading.Event()
+
+    def slow() -> Iterator[int]:
+        yield 0
+        may_end.wait(60.0)
+
+    with ahead(slow(), 1) as items:
+        next(items)
+        left_s = time.perf_counter()
+    assert time.perf_counter() - left_s < PATIENCE_S + 1.0
+    may_end.set()

@@ -1,5 +1,6 @@
 import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,4 +96,22 @@ def test_a_worker_ends_with_its_parent(started: list[subprocess.Popen[bytes]]) -
     assert process.stdin is not None
     process.stdin.close()  # as the system does when a parent is killed
     assert process.wait(10.0) == 0
+    pool.close()
+
+
+def test_nothing_is_started_after_the_end(started: list[subprocess.Popen[bytes]]) -> None:
+    pool = Workers(FusionConfig(), 3)
+    pool.close()
+    with pytest.raises(MapfusionError, match="were ended"):
+        pool.fuse(*PAIRS[0])
+    assert len(started) == 1
+
+
+def test_what_is_printed_at_start_up_does_not_get_between_the_answers(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text("print('hello')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    pool = Workers(FusionConfig(), 1)
+    assert pool.fuse(*PAIRS[0]).accepted
     pool.close()
