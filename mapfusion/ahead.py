@@ -22,14 +22,16 @@ def ahead(items: Iterator[ItemT], depth: int) -> Iterator[Iterator[ItemT]]:
     """
     # Simple queues hold no lock that an exception from a signal's handler could leave taken.
     made: SimpleQueue[tuple[ItemT] | BaseException | None] = SimpleQueue()
-    places: SimpleQueue[bool] = SimpleQueue()
+    places: SimpleQueue[None] = SimpleQueue()
     for _ in range(depth):
-        places.put(True)
+        places.put(None)
+    is_wanted = True
 
     def run() -> None:
         try:
             for item in items:
-                if not places.get():
+                places.get()
+                if not is_wanted:
                     break
                 made.put((item,))
         except BaseException as error:  # whatever it is, it is the reader's to handle
@@ -45,7 +47,7 @@ def ahead(items: Iterator[ItemT], depth: int) -> Iterator[Iterator[ItemT]]:
         while (item := made.get()) is not None:
             if isinstance(item, BaseException):
                 raise item
-            places.put(True)
+            places.put(None)
             yield item[0]
 
     thread = Thread(target=run, name="ahead", daemon=True)
@@ -53,7 +55,6 @@ def ahead(items: Iterator[ItemT], depth: int) -> Iterator[Iterator[ItemT]]:
     try:
         yield taken()
     finally:
-        while not places.empty():
-            places.get()
-        places.put(False)
+        is_wanted = False
+        places.put(None)
         thread.join(PATIENCE_S)
