@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.grid import Cells, OccupancyGrid, resample
+from mapfusion.grid import OccupancyGrid, resample
 from mapfusion.transform import SE2, FloatArray
 
 MaeBand = Literal["good", "doubtful", "failed"]
@@ -22,11 +22,14 @@ GREY_PER_PERCENT = 2.55
 """Grey levels per cent of occupancy: I = 255 (1 - p / 100)."""
 
 Bytes = npt.NDArray[np.uint8]
+Floats = npt.NDArray[np.float32]
 
-_STEPS_PER_PERCENT = 2
-"""Occupancy is compared in bytes, in steps of half a per cent: bytes halve the time that 32-bit numbers need."""
-_OCCUPANCY_STEPS: Bytes = np.array([_STEPS_PER_PERCENT * p if p <= 100 else 0 for p in range(256)], np.uint8)
-_KNOWN: Bytes = np.array([255 if p <= 100 else 0 for p in range(256)], np.uint8)
+_NOT_KNOWN, _MOST_KNOWN = 1e20, 200.0
+"""Stands for an occupancy that is not known, so that one sampling tells both values and where they are known: a sample
+above the second has a cell that is not known among those that weigh in, however little."""
+_OCCUPANCY: Floats = np.array([p if p <= 100 else _NOT_KNOWN for p in range(256)], np.float32)
+_DECIMALS_OF_MOVE = 9
+"""Decimals of a cell to which the move is rounded: a quarter turn then leaves cells whole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +65,7 @@ def agreement(target: OccupancyGrid, source: OccupancyGrid, T_target_source: SE2
     """
     resolution_m = max(target.resolution_m, source.resolution_m)
     target, source = resample(target, resolution_m), resample(source, resolution_m)
-    known_target, known_source = _known_bytes(target), _known_bytes(source)
+    known_target, known_source = target.known.view(np.uint8), source.known.view(np.uint8)
     fewer_known = min(cv2.countNonZero(known_target), cv2.countNonZero(known_source))
     box_source, box_target = _bounding_box(known_source), _bounding_box(known_target)
     to_target = _cells_to_cells(target, source, T_target_source)
@@ -71,16 +74,18 @@ def agreement(target: OccupancyGrid, source: OccupancyGrid, T_target_source: SE2
         return Agreement(None, 0, 0.0, resolution_m)
 
     to_target = (_shift(-box.left, -box.top) @ to_target @ _shift(box_source.left, box_source.top))[:2]
-    size = (box.right - box.left, box.bottom - box.top)
-    whole = cv2.warpAffine(known_source[box_source.slices], to_target, size) == 255
-    common = whole & (known_target[box.slices] == 255)
-    overlap_cells = int(np.count_nonzero(common))
+    moved = cv2.warpAffine(
+        cv2.LUT(source.cells[box_source.slices].view(np.uint8), _OCCUPANCY),
+        np.round(to_target, _DECIMALS_OF_MOVE),
+        (box.right - box.left, box.bottom - box.top),
+        borderValue=_NOT_KNOWN,
+    )
+    common = np.less_equal(moved, _MOST_KNOWN).view(np.uint8) & known_target[box.slices]
+    overlap_cells = cv2.countNonZero(common)
     if overlap_cells == 0:
         return Agreement(None, 0, 0.0, resolution_m)
-
-    steps_source = cv2.warpAffine(_occupancy_bytes(source.cells[box_source.slices]), to_target, size)
-    steps = cv2.absdiff(steps_source, _occupancy_bytes(target.cells[box.slices]))
-    mae = cv2.mean(steps, common.view(np.uint8))[0] / _STEPS_PER_PERCENT * GREY_PER_PERCENT
+    error = cv2.norm(moved, target.cells[box.slices].astype(np.float32), cv2.NORM_L1, common)
+    mae = error / overlap_cells * GREY_PER_PERCENT
     return Agreement(mae, overlap_cells, min(1.0, overlap_cells / fewer_known), resolution_m)
 
 
@@ -106,16 +111,6 @@ class _Box(NamedTuple):
     @property
     def slices(self) -> tuple[slice, slice]:
         return slice(self.top, self.bottom), slice(self.left, self.right)
-
-
-def _known_bytes(grid: OccupancyGrid) -> Bytes:
-    """255 where the cell is known, else 0."""
-    return np.asarray(cv2.LUT(grid.cells.view(np.uint8), _KNOWN), np.uint8)
-
-
-def _occupancy_bytes(cells: Cells) -> Bytes:
-    """Occupancy in steps of `_STEPS_PER_PERCENT`; unknown cells 0, which a mask has to leave out."""
-    return np.asarray(cv2.LUT(cells.view(np.uint8), _OCCUPANCY_STEPS), np.uint8)
 
 
 def _bounding_box(mask: Bytes) -> _Box:

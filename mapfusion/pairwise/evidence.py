@@ -18,7 +18,7 @@ import numpy.typing as npt
 from mapfusion.pairwise.poses import Poses, inverse, moved
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import SAME_SIDE_COSINE, encounters
-from mapfusion.pairwise.surface import NOT_KNOWN, Floats, Indices, Surface, SurfaceField
+from mapfusion.pairwise.surface import DIRECTION_BINS, NOT_KNOWN, Floats, Indices, Surface
 
 TOLERANCES_CELLS = (1.5, 3.0, 6.0)
 DEPENDENT_CELLS = 12.0
@@ -29,7 +29,9 @@ DEEP_TOLERANCES = 2.0
 """A wall this many tolerances inside the other map's free space contradicts it."""
 MIN_DEEP_CHANCE = 0.2
 """Where hardly any free space is wide enough to be deep, contradictions are counted against this share."""
-DIRECTION_BINS = 24
+_SQUARED_TOLERANCES = np.square(np.array(TOLERANCES_CELLS, np.float32))[:, None, None]
+_FAR = DEEP_TOLERANCES * np.array(TOLERANCES_CELLS)[:, None, None]
+_DEPTHS, _SQUARED_FAR = _FAR.astype(np.uint8), np.square(_FAR).astype(np.float32)
 _BIN_ANGLES = np.arange(DIRECTION_BINS) * (2.0 * np.pi / DIRECTION_BINS)
 FACING_ALIKE = (np.cos(_BIN_ANGLES[:, None] - _BIN_ANGLES) > SAME_SIDE_COSINE - 1e-6).astype(np.float64)
 """Which bins of direction count as the same side."""
@@ -98,11 +100,16 @@ def weigh(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: in
     """The evidence for poses (K, 3) of `source` in `target`; both need a surface."""
     assert target.field is not None
     assert source.field is not None
-    forward = _direction(target.field, source, poses, num_points)
-    backward = _direction(source.field, target, inverse(poses), num_points)
+    forward = _direction(target, source, poses, num_points)
+    backward = _direction(source, target, inverse(poses), num_points)
     n = forward.n + backward.n
     safe = np.maximum(n, 1.0)[:, None]
-    each = [against_chance(d.n[:, None], d.agreeing, d.chance) for d in (forward, backward)]
+    both = forward, backward
+    each = against_chance(
+        np.stack([d.n for d in both])[..., None],
+        np.stack([d.agreeing for d in both]),
+        np.stack([d.chance for d in both]),
+    )
     total = 2.0 * np.sqrt(each[0] * each[1])
     deep_chance = _pooled(forward.deep_chance, backward.deep_chance, forward.n, backward.n)
     contradiction = (forward.deep + backward.deep) / safe / np.maximum(deep_chance, MIN_DEEP_CHANCE)
@@ -112,7 +119,7 @@ def weigh(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: in
     mutual = (forward.mutual + backward.mutual) / 2.0
     known = min(len(m.area) * m.cells_per_area_sample for m in (target, source))
     # The backward normals are seen from the source; eigenvalues do not mind.
-    fixed = np.linalg.eigvalsh(forward.scatter) + np.linalg.eigvalsh(backward.scatter)
+    fixed = np.linalg.eigvalsh(np.stack([d.scatter for d in both])).sum(axis=0)
     return Evidence(
         net=net[at],
         tolerance_cells=np.asarray(TOLERANCES_CELLS)[at[1]],
@@ -150,46 +157,45 @@ def discounted(evidence: Figures, contradiction: Figures) -> Figures:
     return result
 
 
-def _direction(field: SurfaceField, other: PreparedMap, poses: Poses, num_points: int) -> _Direction:
-    assert other.field is not None
-    surface = other.field.surface.thinned(num_points)
-    scale = len(other.field.surface) / len(surface)
+def _direction(there: PreparedMap, here: PreparedMap, poses: Poses, num_points: int) -> _Direction:
+    """What the walls of `here` meet in `there` under poses (K, 3); masks are (T, K, N) for T tolerances."""
+    assert there.field is not None
+    assert here.field is not None
+    field = there.field
+    surface = here.field.surface.thinned(num_points)
+    scale = len(here.field.surface) / len(surface)
     found = encounters(field, surface, poses)
     depth = field.depth.ravel().take(found.cells)
     known = depth != NOT_KNOWN
-    facing_alike = known & found.same_side
-    agrees = [facing_alike & (found.squared <= t * t) for t in TOLERANCES_CELLS]
-    far = [t * DEEP_TOLERANCES for t in TOLERANCES_CELLS]
-    deep = [known & (depth > t) & (found.squared > t * t) for t in far]
+    agrees = (known & found.same_side) & (found.squared <= _SQUARED_TOLERANCES)
+    deep = known & (depth > _DEPTHS) & (found.squared > _SQUARED_FAR)
 
-    area = moved(poses, other.area)
+    area = moved(poses, here.area)
     area_cells = field.cells_below(area)
     area_depth = field.depth.ravel().take(area_cells)
     area_known = area_depth != NOT_KNOWN
     hit = field.nearest.ravel().take(area_cells)
     wall = field.walls[:2].take(hit, axis=1)
     squared = np.square(area[:, 0] - wall[0]) + np.square(area[:, 1] - wall[1])
-    near = [area_known & (squared <= t * t) for t in TOLERANCES_CELLS]
-    area_deep = [area_known & (area_depth > t) & (squared > t * t) for t in far]
+    near = area_known & (squared <= _SQUARED_TOLERANCES)
+    area_deep = area_known & (area_depth > _DEPTHS) & (squared > _SQUARED_FAR)
     num_area = np.maximum(area_known.sum(axis=-1), 1)
-    alike = _chance_of_same_side(field.surface, hit, near[-1], surface, poses, known)
+    alike = _chance_of_same_side(there.facing_bins.take(hit), near[-1], surface, poses, known)
 
-    weight = agrees[1].astype(np.float32)
     return _Direction(
         n=known.sum(axis=-1) * scale,
-        agreeing=np.stack([a.sum(axis=-1) for a in agrees], -1) * scale,
-        chance=np.stack([a.sum(axis=-1) for a in near], -1) * (alike / num_area)[:, None],
-        deep=np.stack([a.sum(axis=-1) for a in deep], -1) * scale,
-        deep_chance=np.stack([a.sum(axis=-1) for a in area_deep], -1) / num_area[:, None],
-        mutual=area_known.sum(axis=-1) * other.cells_per_area_sample,
+        agreeing=agrees.sum(axis=-1).T * scale,
+        chance=near.sum(axis=-1).T * (alike / num_area)[:, None],
+        deep=deep.sum(axis=-1).T * scale,
+        deep_chance=area_deep.sum(axis=-1).T / num_area[:, None],
+        mutual=area_known.sum(axis=-1) * here.cells_per_area_sample,
         squares=(np.square(found.gap) * agrees[-1]).sum(axis=-1) * scale,
-        scatter=_second_moment(found.lines, weight) * scale,
+        scatter=_second_moment(found.lines, agrees[1].astype(np.float32)) * scale,
     )
 
 
 def _chance_of_same_side(
-    there: Surface,
-    hit: Indices,
+    hit_bins: Indices,
     near: npt.NDArray[np.bool_],
     here: Surface,
     poses: Poses,
@@ -198,27 +204,18 @@ def _chance_of_same_side(
     """(K,) probability that a wall of the mutual area and the wall near a random cell of it face alike.
 
     Args:
-        there: One map's walls.
-        hit: (K, A) which of them is nearest to each cell of the mutual area.
+        hit_bins: (K, A) direction of one map's wall that is nearest to each cell of the mutual area, as a whole bin.
         near: (K, A) which of those cells are near it.
         here: N walls of the other map.
         poses: (K, 3).
         known: (K, N) which of `here` lie in the mutual area.
     """
-    target_bins = np.floor(_bins(there) + 0.5).astype(np.int32) % DIRECTION_BINS
     turns = poses[:, 2, None] * (DIRECTION_BINS / (2.0 * np.pi))
-    source_bins = np.floor(_bins(here) + (turns + 0.5)).astype(np.int32) % DIRECTION_BINS
-    target_share = _histograms(target_bins.take(hit), near)
+    source_bins = np.floor(here.facing() + (turns + 0.5)).astype(np.int32) % DIRECTION_BINS
+    target_share = _histograms(hit_bins, near)
     source_share = _histograms(source_bins, known)
     result: Figures = ((target_share @ FACING_ALIKE) * source_share).sum(axis=-1)
     return result
-
-
-def _bins(surface: Surface) -> Figures:
-    """(N,) direction of each wall's normal in bins, not whole ones."""
-    angles = np.arctan2(surface.normals[:, 1], surface.normals[:, 0]).astype(np.float64)
-    bins: Figures = angles * (DIRECTION_BINS / (2.0 * np.pi))
-    return bins
 
 
 def _histograms(bins: Indices, mask: npt.NDArray[np.bool_]) -> Figures:

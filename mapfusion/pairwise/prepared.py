@@ -13,8 +13,10 @@ from mapfusion.pairwise.features import Features, detect
 from mapfusion.pairwise.poses import Poses
 from mapfusion.pairwise.sketch import sketch
 from mapfusion.pairwise.surface import (
+    DIRECTION_BINS,
     Bytes,
     Floats,
+    Indices,
     Points,
     SurfaceField,
     distance_to,
@@ -57,6 +59,13 @@ class PreparedMap:
         return detect(self.walls)
 
     @cached_property
+    def facing_bins(self) -> Indices:
+        """(N,) direction that each wall of the field faces, as a whole bin; only of maps that have a field."""
+        assert self.field is not None
+        bins: Indices = np.floor(self.field.surface.facing() + 0.5).astype(np.int32) % DIRECTION_BINS
+        return bins
+
+    @cached_property
     def sketch(self) -> Bytes:
         """(H, W) codes of the field's cells, as in `sketch`; only of maps that have a field."""
         assert self.field is not None
@@ -71,9 +80,10 @@ class PreparedMap:
 def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
     """Brings one map to `resolution_m`, finds its features and the field of its walls' surface."""
     grid = crop_to_known(resample(grid, resolution_m))
-    walls = remove_speckle(grid.walls)
-    smooth = smooth_walls(walls, grid.free)
-    free = widen_free(smooth, grid.free | grid.walls)
+    rough_walls, clear = grid.walls, grid.free
+    walls = remove_speckle(rough_walls)
+    smooth = smooth_walls(walls, clear)
+    free = widen_free(smooth, clear | rough_walls)
     known = grid.known | free
     surface = extract_surface(smooth, free)
     area, cells_per_area_sample = _raster(known)

@@ -17,8 +17,10 @@ from mapfusion.pairwise.surface import Floats, Indices, Surface, SurfaceField
 
 SAME_SIDE_COSINE = 0.5
 """Normals within 60 degrees count as one wall seen from one side."""
-SETTLED = 1e-3
-"""Steps below this, in cells and radians, change nothing any more."""
+SETTLED = np.array([1e-2, 1e-2, 1e-4])
+"""Steps below this, in cells and radians, change nothing any more: a pose that stands goes on to the closest reach."""
+
+_ONE = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +88,10 @@ def refine(
     about[:, :2] = moved(poses, centre[None].astype(np.float32))[:, :, 0]
     centred = Surface(from_source.points - centre.astype(np.float32), from_source.normals)
     information = np.zeros((len(poses), 3, 3))
+    has_settled = False
     for reach in reaches:
+        if has_settled and reach != reaches[-1]:
+            continue
         there = encounters(target, centred, about)
         information, gradient = _normal_equations(there.lines, there.arms, there.gap, _weights(there, reach))
         back = encounters(source, from_target, inverse(_about_corner(about, centre)))
@@ -97,10 +102,11 @@ def refine(
         more, more_gradient = _normal_equations(lines, arms, -back.gap, _weights(back, reach))
         information, gradient = information + more, gradient + more_gradient
         # A corridor fixes nothing along itself: without damping its pose would run away there.
-        damping = 1e-4 * (information[:, 0, 0] + information[:, 1, 1])[:, None, None] * np.eye(3) + 1e-3 * np.eye(3)
-        step = np.linalg.solve(information + damping, gradient[..., None])[..., 0]
+        damping = 1e-4 * (information[:, 0, 0] + information[:, 1, 1]) + 1e-3
+        step = np.linalg.solve(information + damping[:, None, None] * _ONE, gradient[..., None])[..., 0]
         about = about - step
-        if reach == reaches[-1] and np.abs(step).max() < SETTLED:
+        has_settled = bool((np.abs(step) < SETTLED).all())
+        if has_settled and reach == reaches[-1]:
             break
     return _about_corner(about, centre), information * share
 

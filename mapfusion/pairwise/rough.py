@@ -10,7 +10,7 @@ import numpy as np
 from mapfusion.pairwise.evidence import against_chance, discounted
 from mapfusion.pairwise.poses import Poses, centre_moved, distinct, inverse, moved, pose_from_centre
 from mapfusion.pairwise.prepared import PreparedMap
-from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, directions, meetings
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, meetings
 
 CHANCE = 0.1
 """Share of walls that agree by chance, about."""
@@ -78,7 +78,7 @@ def _one_way(target: PreparedMap, source: PreparedMap, poses: Poses, num_points:
     assert source.field is not None
     some = source.field.surface.thinned(num_points)
     codes = target.sketch.ravel().take(target.field.cells_below(moved(poses, some.points)))
-    met = meetings(codes, directions(some), poses[:, 2]).sum(axis=-1)
+    met = meetings(codes, some.facing(), poses[:, 2]).sum(axis=-1)
     n, agrees, contradicts = met % AGREES, met % CONTRADICTS // AGREES, met // CONTRADICTS
     evidence = against_chance(n, agrees, np.asarray(CHANCE))
     return discounted(evidence, contradicts / np.maximum(n, 1)) * (len(source.field.surface) / len(some))

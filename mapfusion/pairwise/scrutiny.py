@@ -91,7 +91,7 @@ def _look(field: SurfaceField, surface: Surface, pose: Poses, tolerance_cells: f
     cosine = _cosine(found, surface, pose)
     across = known & (depth > NEAR_CELLS) & (squared > NEAR_CELLS**2) & (np.abs(cosine) < SAME_SIDE_COSINE)
     agrees = known & found.same_side[0] & (squared <= tolerance_cells**2)
-    some = Surface(surface.points[agrees], surface.normals[agrees]).thinned(NUM_COMPARED)
+    some = surface.at(np.flatnonzero(agrees)).thinned(NUM_COMPARED)
     return _Look(
         num_walls=len(surface),
         num_known=int(np.count_nonzero(known)),
@@ -132,13 +132,16 @@ def _effective_number(some: Surface) -> float:
     n = len(some)
     if n < 2:
         return float(n)
-    (x, y), (nx, ny) = some.points.T, some.normals.T
-    mean_x, mean_y = nx[:, None] + nx, ny[:, None] + ny
-    across = np.square((x[:, None] - x) * mean_x + (y[:, None] - y) * mean_y)
-    length = np.square(mean_x) + np.square(mean_y)
-    # |n + m|^2 = 2 + 2 cos of the angle between unit vectors.
-    is_one = np.exp(across / (length + np.float32(1e-6)) * np.float32(-0.5 / SAME_WALL_CELLS**2))
-    is_one *= length > 2.0 + 2.0 * SAME_SIDE_COSINE
+    # With p_ij = points_i . normals_j, (point_i - point_j) . (normal_i + normal_j) = p_ii - p_jj + p_ij - p_ji.
+    projections = (some.points - some.points.mean(axis=0)) @ some.normals.T
+    own = projections.diagonal()
+    across = projections - projections.T + (own[:, None] - own)
+    across *= across
+    squared_length = 2.0 + 2.0 * (some.normals @ some.normals.T)  # of the sum of two unit vectors
+    across /= np.maximum(squared_length, np.float32(1e-6))
+    across *= np.float32(-0.5 / SAME_WALL_CELLS**2)
+    is_one = np.exp(across, out=across)
+    is_one *= squared_length > 2.0 + 2.0 * SAME_SIDE_COSINE
     return n * (n - 1) / max(float(is_one.sum()) - n, 1e-6)
 
 

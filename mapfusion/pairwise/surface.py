@@ -23,8 +23,15 @@ SPECKLE_CELLS = 5
 NORMAL_SIGMA = 1.5
 """Blur of the wall image from whose gradient normals are taken, cells."""
 NOT_KNOWN = 255
+DIRECTION_BINS = 24
+"""Directions that are told apart where they are counted."""
 FIELD_MARGIN = 12
 """A field reaches this many cells beyond its map."""
+_BOX, _CROSS = np.ones((3, 3), np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+_TO_DEPTH = (_CROSS, _BOX, _CROSS, _BOX, _CROSS) * 2 + (_CROSS, _BOX)
+"""Erosions one after the other: what is left after each is a cell deeper. Seven crosses to five boxes make the octagon
+that is nearest to a circle."""
+MAX_DEPTH = len(_TO_DEPTH) + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +53,17 @@ class Surface:
         """About `count` of the points, spread evenly over their order; all of them where there are fewer."""
         if len(self) <= count:
             return self
-        chosen = np.arange(count) * (len(self) - 1) // (count - 1)
-        return Surface(self.points[chosen], self.normals[chosen])
+        return self.at(np.arange(count) * (len(self) - 1) // (count - 1))
+
+    def at(self, indices: npt.NDArray[np.intp]) -> Surface:
+        """The points of these indices (K,) alone."""
+        return Surface(self.points.take(indices, axis=0), self.normals.take(indices, axis=0))
+
+    def facing(self) -> Floats:
+        """(N,) direction that each wall faces, in bins, from -DIRECTION_BINS / 2 to DIRECTION_BINS / 2."""
+        angles = np.arctan2(self.normals[:, 1], self.normals[:, 0])
+        bins: Floats = angles * np.float32(DIRECTION_BINS / (2.0 * np.pi))
+        return bins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,8 +75,8 @@ class SurfaceField:
         walls: (4, N) float32, the surface's x, y and its normals' x, y.
         nearest: (H, W) int32, index into the surface; cell (0, 0) lies FIELD_MARGIN cells outside the map.
         distance: (H, W) uint8, whole cells to it, about; 255 from there on.
-        depth: (H, W) uint8, NOT_KNOWN where the map knows neither the cell nor one beside it; else the distance of a
-            free cell to the nearest cell that is not free, cells, and 0 for cells that are not free.
+        depth: (H, W) uint8, NOT_KNOWN where the map knows neither the cell nor one beside it; else about the distance
+            of a free cell to the nearest cell that is not free, cells, as far as MAX_DEPTH, and 0 for other cells.
     """
 
     surface: Surface
@@ -84,9 +100,12 @@ def remove_speckle(walls: Mask) -> Mask:
     """The walls without islands of fewer than SPECKLE_CELLS cells."""
     _, labels = cv2.connectedComponents(walls.view(np.uint8), connectivity=8)
     cells = np.flatnonzero(walls)
-    islands = np.asarray(labels).ravel().take(cells)
+    islands = np.asarray(labels, np.int32).ravel().take(cells)
+    is_speckle = np.bincount(islands, minlength=1) < SPECKLE_CELLS
+    if not is_speckle[1:].any():  # island 0 is what is not wall
+        return walls
     kept = walls.copy()
-    kept.ravel()[cells[np.bincount(islands)[islands] < SPECKLE_CELLS]] = False
+    kept.ravel()[cells[is_speckle.take(islands)]] = False
     return kept
 
 
@@ -95,35 +114,33 @@ def smooth_walls(walls: Mask, free: Mask) -> Mask:
 
     Noise roughens a rim: left as it is, one wall would have more cells, facing more ways, the noisier it is.
     """
-    closed = cv2.morphologyEx(walls.view(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).view(np.bool_)
+    closed = cv2.morphologyEx(walls.view(np.uint8), cv2.MORPH_CLOSE, _BOX).view(np.bool_)
     smooth: Mask = (closed & free) | walls
     return smooth
 
 
 def widen_free(walls: Mask, free: Mask) -> Mask:
     """The free space without `walls`, widened by the single unknown cells that some mappers leave before a wall."""
-    free = free & ~walls
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    beside_wall, beside_free = (cv2.dilate(mask.astype(np.uint8), cross) > 0 for mask in (walls, free))
-    widened: Mask = free | (beside_wall & beside_free & ~walls)
+    no_wall = ~walls
+    free = free & no_wall
+    beside_both = cv2.bitwise_and(*(cv2.dilate(mask.view(np.uint8), _CROSS) for mask in (walls, free)))
+    widened: Mask = free | (beside_both.view(np.bool_) & no_wall)
     return widened
 
 
 def extract_surface(walls: Mask, free: Mask) -> Surface:
     """The rim of `walls` towards `free` (both (H, W) masks), in row-major order."""
-    solid = walls.astype(np.uint8)
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    rim = np.asarray(cv2.dilate(solid, cross), np.uint8).view(np.bool_) & free
-    rows, cols = np.divmod(np.flatnonzero(rim), walls.shape[1])
+    solid = walls.view(np.uint8)
+    rim = np.asarray(cv2.dilate(solid, _CROSS), np.uint8).view(np.bool_) & free
+    at = np.flatnonzero(rim)
     blurred = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), NORMAL_SIGMA, borderType=cv2.BORDER_REPLICATE)
-    slope_x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0)[rows, cols]
-    slope_y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1)[rows, cols]
-    outwards = -np.stack([slope_x, slope_y], axis=-1)
-    length = np.maximum(np.linalg.norm(outwards, axis=-1, keepdims=True), 1e-6)
-    return Surface(
-        points=np.stack([cols + 0.5, rows + 0.5], axis=-1).astype(np.float32),
-        normals=(outwards / length).astype(np.float32),
-    )
+    x, y = (np.asarray(cv2.Sobel(blurred, cv2.CV_32F, *axis), np.float32).ravel().take(at) for axis in ((1, 0), (0, 1)))
+    outwards = np.stack([x, y], axis=-1)
+    outwards /= -np.maximum(np.sqrt(x * x + y * y), np.float32(1e-6))[:, None]
+    rows, cols = np.divmod(at, walls.shape[1])
+    points = np.stack([cols, rows], axis=-1).astype(np.float32)
+    points += np.float32(0.5)
+    return Surface(points, outwards)
 
 
 def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
@@ -135,11 +152,9 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
     distance, labels = cv2.distanceTransformWithLabels(elsewhere, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     nearest = np.asarray(labels, np.int32)  # counted from 1, in row-major order as well
     nearest -= 1
-    # Whole cells are wanted: rounding less almost a half cuts off.
-    free_depth = cv2.distanceTransform(_with_margin(free), cv2.DIST_L2, 3)
-    depth = cv2.min(cv2.convertScaleAbs(free_depth, beta=-0.4999), NOT_KNOWN - 1)  # type: ignore[call-overload]
-    near_known = cv2.dilate(_with_margin(known), np.ones((3, 3), np.uint8))
-    depth = cv2.max(depth, cv2.compare(near_known, 0, cv2.CMP_EQ))  # type: ignore[call-overload]
+    depth = _depth(_with_margin(free))
+    near_known = cv2.dilate(_with_margin(known), _BOX)
+    depth = np.maximum(depth, (near_known == 0) * np.uint8(NOT_KNOWN))
     return SurfaceField(
         surface=surface,
         walls=np.concatenate([surface.points.T, surface.normals.T]),
@@ -147,6 +162,15 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
         distance=np.asarray(cv2.convertScaleAbs(distance), np.uint8),
         depth=np.asarray(depth, np.uint8),
     )
+
+
+def _depth(free: Bytes) -> Bytes:
+    """Cells to the nearest cell that is 0, about: MAX_DEPTH from there on."""
+    left, depth = free, free.copy()
+    for element in _TO_DEPTH:
+        left = np.asarray(cv2.erode(left, element), np.uint8)
+        depth += left
+    return depth
 
 
 def distance_to(points: Points, shape: tuple[int, ...]) -> Floats:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, KNOWN, NUM_BINS, directions, meetings
-from mapfusion.pairwise.surface import FIELD_MARGIN
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, KNOWN, meetings
+from mapfusion.pairwise.surface import DIRECTION_BINS, FIELD_MARGIN
 from tests.fakes import flat, grid_of
 
 
@@ -45,6 +45,6 @@ def test_what_is_unknown_says_nothing(room: PreparedMap) -> None:
 
 def test_directions_are_those_of_the_normals(room: PreparedMap) -> None:
     assert room.field is not None
-    facing = directions(room.field.surface) * (2.0 * np.pi / NUM_BINS)
+    facing = room.field.surface.facing() * (2.0 * np.pi / DIRECTION_BINS)
     normals = np.stack([np.cos(facing), np.sin(facing)], axis=-1)
     np.testing.assert_allclose(normals, room.field.surface.normals, atol=1e-5)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from mapfusion.grid import Mask
 from mapfusion.pairwise.surface import (
     FIELD_MARGIN,
+    MAX_DEPTH,
     NOT_KNOWN,
     SPECKLE_CELLS,
     distance_to,
@@ -122,3 +124,31 @@ def test_field_names_the_nearest_point_and_the_depth_of_free_space() -> None:
     outside = np.array([[[-1e6, 1e6], [1e6, -1e6]]], np.float32)
     assert (field.depth.ravel()[field.cells_below(outside)] == NOT_KNOWN).all()
     assert field.nearest.shape == (40 + 2 * FIELD_MARGIN, 60 + 2 * FIELD_MARGIN)
+
+
+def test_depth_is_nearly_round_whatever_the_direction() -> None:
+    walls = np.zeros((61, 61), np.bool_)
+    walls[30, 30] = True
+    field = surface_field(extract_surface(walls, ~walls), ~walls, np.ones_like(walls))
+    inner = np.s_[FIELD_MARGIN + MAX_DEPTH : -FIELD_MARGIN - MAX_DEPTH]
+    depth = field.depth[inner, inner].astype(np.float64)
+    rows, cols = np.indices(depth.shape) - depth.shape[0] // 2
+    distance = np.hypot(rows, cols)
+    within = distance < MAX_DEPTH - 1
+    assert np.abs(depth - distance)[within].max() <= 1.0
+    assert (depth[distance >= MAX_DEPTH + 1] == MAX_DEPTH).all()
+
+
+def test_depth_agrees_with_the_distance_transform() -> None:
+    rng = np.random.default_rng(3)
+    free = np.ones((120, 150), np.bool_)
+    for row, col, height, width in rng.integers(3, 100, (12, 4)):
+        free[row : row + height // 8, col : col + width // 8] = False
+    walls = ~free
+    field = surface_field(extract_surface(walls, free), free, np.ones_like(free))
+    inside = np.s_[FIELD_MARGIN:-FIELD_MARGIN]
+    padded = np.pad(free, 1).view(np.uint8)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    off = np.abs(field.depth[inside, inside] - np.minimum(distance, MAX_DEPTH))
+    assert off.max() <= 1.3
+    assert off.mean() <= 0.5
