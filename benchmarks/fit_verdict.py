@@ -40,11 +40,11 @@ from mapfusion.pairwise.confidence import (
 from mapfusion.pairwise.default import prepare
 from mapfusion.pairwise.poses import Poses, differ, to_se2
 from mapfusion.pairwise.verdict import (
-    MIN_CONFIDENCE,
     MIN_MARGIN,
     MIN_RATIO,
     SLIDING_MARGIN,
     are_few_things,
+    least_confidence,
     least_evidence,
     too_little,
 )
@@ -324,8 +324,10 @@ def report(all_judged: Sequence[Judged]) -> None:
         weights = fit_confidence(terms[kept], right[kept], counts[kept])
         sure[held] = 1.0 / (1.0 + np.exp(-(terms[held] @ weights)))
     best = [one.figures[0] for one in all_judged]
-    joined = sure >= MIN_CONFIDENCE
-    joined &= np.array([f["net"] >= least_evidence(f) and f["ratio"] >= MIN_RATIO for f in best])
+    joined = sure >= np.array([least_confidence(f) for f in best])
+    least = np.array([least_evidence(f, trust) for f, trust in zip(best, sure, strict=True)])
+    joined &= np.array([f["net"] for f in best]) >= least
+    joined &= np.array([f["ratio"] for f in best]) >= MIN_RATIO
     joined &= np.array([not are_few_things(f) for f in best])
     sliding = np.array([figures["conditioning"] < search.SLIDING_CONDITIONING for figures in best])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)

@@ -13,29 +13,29 @@ from collections.abc import Mapping
 Figures = Mapping[str, float]
 
 PLAUSIBILITY = {
-    "net": 1.285,
-    "crossing": -0.735,
-    "run": -0.573,
-    "lines": 2.268,
-    "gain": 1.377,
-    "inliers_wide": 1.049,
-    "keypoints": 0.79,
-    "inliers_near": 1.355,
+    "net": 1.359,
+    "crossing": -0.786,
+    "run": -0.534,
+    "lines": 2.261,
+    "gain": 1.404,
+    "inliers_wide": 1.154,
+    "keypoints": 0.84,
+    "inliers_near": 1.206,
 }
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -26.224,
-    "net": 1.613,
-    "gain": 0.815,
-    "lines": 3.955,
-    "run": -0.635,
-    "crossing": -1.75,
-    "margin": 0.881,
-    "opposite": -13.942,
-    "overlap": 3.223,
-    "outside": 7.932,
-    "keypoints": 0.386,
+    "bias": -26.972,
+    "net": 1.656,
+    "gain": 0.811,
+    "lines": 4.113,
+    "run": -0.534,
+    "crossing": -1.832,
+    "margin": 0.896,
+    "opposite": -15.303,
+    "overlap": 3.239,
+    "outside": 8.105,
+    "keypoints": 0.335,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 

@@ -27,6 +27,8 @@ from mapfusion.pairwise.surface import (
     widen_free,
 )
 
+MIN_WALL_CELLS = 40
+"""A map with less wall than this beside free space says nothing."""
 AREA_SAMPLES = 1500
 """About so many known cells stand for the known area where areas are compared."""
 
@@ -53,10 +55,20 @@ class PreparedMap:
     centre: Poses
     key: bytes
 
+    @property
+    def num_walls(self) -> int:
+        """Cells of wall beside free space."""
+        return 0 if self.field is None else len(self.field.surface)
+
     @cached_property
     def features(self) -> Features:
         """ORB keypoints of the walls, found when they are first asked for: verifying a transform needs none."""
         return detect(self.walls)
+
+    @cached_property
+    def coarser(self) -> PreparedMap:
+        """The same map at twice the cell size."""
+        return prepare(self.grid, 2.0 * self.grid.resolution_m)
 
     @cached_property
     def facing_bins(self) -> Indices:

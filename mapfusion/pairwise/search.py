@@ -11,13 +11,13 @@ from mapfusion.pairwise.confidence import plausibility
 from mapfusion.pairwise.correlation import correlate
 from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, squared_offsets
-from mapfusion.pairwise.poses import Poses, differ, distinct
-from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.poses import Poses, differ, distinct, from_se2, to_se2
+from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.refine import refine
 from mapfusion.pairwise.rough import SAME_CELLS, TIGHT_STEPS, WIDE_STEPS, best_distinct, best_nearby
 from mapfusion.pairwise.scrutiny import scrutinise
 from mapfusion.pairwise.surface import SurfaceField
-from mapfusion.pairwise.voting import Matches, vote
+from mapfusion.pairwise.voting import Matches, match, vote
 
 COARSE_POINTS = 250
 FINE_POINTS = 400
@@ -35,6 +35,8 @@ REFINED_DEGREES = 3.0
 SLIDING_CONDITIONING = 0.15
 """Walls that fix one direction less than this share of the other may let a pose slide."""
 SLIDES_CELLS = (8.0, 12.0, 16.0, 20.0, 26.0, 32.0, 40.0, 50.0)
+LARGE_CELLS = 400
+"""A map with an edge this long is searched at coarser resolutions as well."""
 WORTH_SHARE = 0.2
 """A pose with less than this share of the best one's evidence is not looked at more closely."""
 
@@ -49,6 +51,7 @@ class Effort:
         num_starts: How many poses are refined roughly.
         num_candidates: How many of them finely.
         is_stepped: Whether the poses around a pose are tried before it is refined.
+        has_levels: Whether large maps are searched at coarser resolutions as well.
         num_scrutinised: How many poses are looked at closely.
     """
 
@@ -57,6 +60,7 @@ class Effort:
     num_starts: int
     num_candidates: int
     is_stepped: bool
+    has_levels: bool
     num_scrutinised: int
 
 
@@ -66,6 +70,7 @@ QUICK = Effort(
     num_starts=24,
     num_candidates=8,
     is_stepped=False,
+    has_levels=False,
     num_scrutinised=5,
 )
 THOROUGH = Effort(
@@ -74,6 +79,7 @@ THOROUGH = Effort(
     num_starts=32,
     num_candidates=16,
     is_stepped=True,
+    has_levels=True,
     num_scrutinised=10,
 )
 
@@ -131,7 +137,29 @@ def propose(
     voted = vote(target.features, source.features, matches, source.centre, effort.num_voted)
     first = 0 if known is None else QUICK.num_rotations
     whole = correlate(target.field, source.field, source.centre, first, effort.num_rotations)
-    return np.concatenate([voted, whole] if known is None else [voted, known, whole])
+    proposed = [voted, whole] if known is None else [voted, known, whole]
+    if effort.has_levels and max(*target.grid.cells.shape, *source.grid.cells.shape) >= LARGE_CELLS:
+        proposed.append(_found_coarsely(target, source, effort))
+    return np.concatenate(proposed)
+
+
+def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) -> Poses:
+    """The candidates (K, 3) of the same maps at twice the cell size.
+
+    A search sees large maps as through a veil: its images have cells of half a metre, and by the step from one
+    rotation to the next their far walls move by more than it looks for them.
+    """
+    coarse_target, coarse_source = target.coarser, source.coarser
+    if min(coarse_target.num_walls, coarse_source.num_walls) < MIN_WALL_CELLS:
+        return np.empty((0, 3))
+    matches = match(coarse_target.features, coarse_source.features)
+    hypotheses = propose(coarse_target, coarse_source, matches, effort)
+    candidates = refine_and_rank(coarse_target, coarse_source, hypotheses, matches, effort)
+    resolution_m = target.grid.resolution_m
+    at_target = target.grid.T_frame_grid.inverse() @ coarse_target.grid.T_frame_grid
+    at_source = coarse_source.grid.T_frame_grid.inverse() @ source.grid.T_frame_grid
+    found = [at_target @ to_se2(one.pose, 2.0 * resolution_m) @ at_source for one in candidates]
+    return np.array([from_se2(T, resolution_m) for T in found])
 
 
 def examine(

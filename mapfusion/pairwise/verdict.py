@@ -8,13 +8,11 @@ from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.confidence import MAX_MARGIN, Figures, confidence, margin
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
-from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2, FloatArray
 
-MIN_WALL_CELLS = 40
-"""A map with less wall than this beside free space says nothing."""
 MIN_CONDITIONING = 0.03
 """Least smallest / largest eigenvalue of what the agreeing walls fix of the translation."""
 MIN_TURNING = 0.05
@@ -33,6 +31,9 @@ MIN_RATIO = 0.2
 SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 70.0
 """Maps that share less than this of the smaller one need so much evidence: the less they share, the more ways there are
 to share it. So do maps that contradict each other, and few walls that agree loosely only: they leave the pose loose."""
+SURE = 0.92
+"""Confidence from which on many walls need no more evidence than others. Maps that share little and contradict each other
+too need it."""
 FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
 """Where they share as few walls as two things have, nearly all of the walls must agree, or long ones: two things that
 stand alike in both are no place yet."""
@@ -45,11 +46,10 @@ MIN_RESIDUAL_CELLS = 0.3
 def too_little(target: PreparedMap, source: PreparedMap) -> PairFusion | None:
     """The refusal of maps that cannot be compared at all; None where they can."""
     for prepared, name in ((target, "one"), (source, "other")):
-        walls = 0 if prepared.field is None else len(prepared.field.surface)
-        if walls < MIN_WALL_CELLS:
+        if prepared.num_walls < MIN_WALL_CELLS:
             return PairFusion(
                 accepted=False,
-                reason=f"too few walls: the {name} map has {walls} wall cells beside free space, "
+                reason=f"too few walls: the {name} map has {prepared.num_walls} wall cells beside free space, "
                 f"at least {MIN_WALL_CELLS} are needed",
                 gate="few walls",
                 resolution_m=target.grid.resolution_m,
@@ -111,10 +111,11 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "no overlap", "the best alignment leaves no cell that both maps know"
     if config.mae_threshold is not None and cells.mae >= config.mae_threshold:
         return "mae", f"mean absolute error {cells.mae:.1f} grey levels, not below {config.mae_threshold:g}"
-    if figures["net"] < least_evidence(figures):
+    least = least_evidence(figures, trust)
+    if figures["net"] < least:
         return "chance", (
             "agreement is no better than what a search finds between unrelated maps: "
-            f"{agreement} (evidence {figures['net']:.0f}, at least {least_evidence(figures):.0f} is needed "
+            f"{agreement} (evidence {figures['net']:.0f}, at least {least:.0f} is needed "
             f"with {figures['mutual_ratio']:.0%} of the smaller map in common, walls in the other's free space at "
             f"{figures['contradiction']:.0%} of chance, about {figures['lines']:.0f} different walls within "
             f"{figures['tolerance_cells']:g} cells)"
@@ -143,15 +144,16 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"(hold on the rotation {figures['turning']:.3f}, at least {MIN_TURNING} is needed)"
         )
     least_margin = SLIDING_MARGIN if figures["conditioning"] < SLIDING_CONDITIONING else MIN_MARGIN
-    is_close = _margin(finding) < least_margin or trust < MIN_CONFIDENCE <= confidence(figures, MAX_MARGIN)
+    least_trust = least_confidence(figures)
+    is_close = _margin(finding) < least_margin or trust < least_trust <= confidence(figures, MAX_MARGIN)
     if finding.rival is not None and is_close:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
             f"({_rival_ratio(finding):.2f} of the evidence); the best: {agreement}"
         )
-    if trust < MIN_CONFIDENCE:
+    if trust < least_trust:
         return "confidence", (
-            f"not sure enough ({trust:.2f}, at least {MIN_CONFIDENCE} is needed): {agreement}, along about "
+            f"not sure enough ({trust:.2f}, at least {least_trust} is needed): {agreement}, along about "
             f"{figures['lines']:.0f} different walls; {figures['opposite']:.0%} lie on walls seen from the other "
             f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, the best different alignment has "
@@ -160,11 +162,22 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
     return "", ""
 
 
-def least_evidence(figures: Figures) -> float:
-    """The net evidence that a pose with these figures needs."""
-    is_loose = figures["lines"] < FEW_LINES and figures["tolerance_cells"] >= max(TOLERANCES_CELLS)
-    is_doubtful = figures["mutual_ratio"] < SMALL_OVERLAP or figures["contradiction"] > SOME_CONTRADICTION
-    return MORE_EVIDENCE if is_doubtful or is_loose else MIN_EVIDENCE
+def least_evidence(figures: Figures, trust: float) -> float:
+    """The net evidence that a pose with these figures and this confidence needs."""
+    is_few = figures["lines"] < FEW_LINES
+    is_loose = is_few and figures["tolerance_cells"] >= max(TOLERANCES_CELLS)
+    is_sure = not is_few and trust >= SURE
+    return MORE_EVIDENCE if is_loose or (any(_doubts(figures)) and not is_sure) else MIN_EVIDENCE
+
+
+def least_confidence(figures: Figures) -> float:
+    """The confidence that a pose with these figures needs."""
+    return SURE if all(_doubts(figures)) else MIN_CONFIDENCE
+
+
+def _doubts(figures: Figures) -> tuple[bool, bool]:
+    """Whether the maps share little, and whether they contradict each other."""
+    return figures["mutual_ratio"] < SMALL_OVERLAP, figures["contradiction"] > SOME_CONTRADICTION
 
 
 def are_few_things(figures: Figures) -> bool:

@@ -11,6 +11,7 @@ import pytest
 from mapfusion.config import FusionConfig
 from mapfusion.evaluation.pairs import StudyPair, make_pair
 from mapfusion.grid import Cells, OccupancyGrid
+from mapfusion.pairwise import search
 from mapfusion.pairwise.default import PreparedMap, fuse, prepare, verify
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
@@ -71,6 +72,36 @@ def test_a_thorough_search_finds_what_a_quick_one_misses() -> None:
     result = fuse(*maps, FusionConfig())
     assert result.accepted, result.reason
     assert off_m(pair, result) < 0.1
+
+
+def cluttered_building(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, SE2]:
+    """Two views of 50 m by 55 m, one of them full of things that the other has not; the second's frame in the first's.
+
+    They share half of the smaller one.
+    """
+    rng = np.random.default_rng(seed)
+    place = np.block([[rooms(334, 367, 9 * seed + 3 * row + col) for col in range(3)] for row in range(3)])
+    cluttered = place.copy()
+    for _ in range(2500):
+        row, col = rng.integers(0, place.shape[0] - 8), rng.integers(0, place.shape[1] - 8)
+        height, width = rng.integers(2, 8, 2)
+        cluttered[row : row + height, col : col + width] = 100
+    yaw_rad = rng.uniform(-3.0, 3.0)
+    from_corner = SE2(0.0, 0.0, yaw_rad).apply(np.array([[17.5, 17.5]]))[0]
+    T_a_b = SE2(38.0 - from_corner[0], 25.0 - from_corner[1], yaw_rad)
+    return seen_from(cluttered, SE2.identity(), (1000, 760), 0.05), seen_from(place, T_a_b, (700, 700), 0.05), T_a_b
+
+
+def test_large_maps_are_searched_at_coarser_resolutions_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    a, b, T_a_b = cluttered_building(seed=4)
+    maps = prepare(a, 0.05), prepare(b, 0.05)
+    result = fuse(*maps, FusionConfig())
+    assert result.accepted, result.reason
+    middle_m = b.centres_m(b.known).mean(axis=0)
+    assert result.T_target_source is not None
+    assert np.linalg.norm(result.T_target_source.apply(middle_m) - T_a_b.apply(middle_m)) < 0.025
+    monkeypatch.setattr(search, "LARGE_CELLS", 10_000)
+    assert not fuse(*maps, FusionConfig()).accepted
 
 
 @pytest.mark.parametrize("seed", [52090, 52170])

@@ -11,7 +11,7 @@ from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
-from mapfusion.pairwise.verdict import MIN_CONFIDENCE, judge, too_little
+from mapfusion.pairwise.verdict import MIN_CONFIDENCE, SURE, judge, least_confidence, too_little
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 from tests.fakes import flat, grid_of, rooms
@@ -68,8 +68,9 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
     ("gate", "found"),
     [
         ("chance", finding(net=10.0, rival_net=5.0)),
-        ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3)),
-        ("chance", finding(net=60.0, rival_net=5.0, contradiction=0.3)),
+        ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3, lines=7.0)),
+        ("chance", finding(net=60.0, rival_net=5.0, contradiction=0.3, lines=7.0)),
+        ("chance", finding(net=60.0, rival_net=30.0, mutual_ratio=0.3, lines=9.0, keypoints=1.0)),
         ("chance", finding(net=60.0, rival_net=5.0, lines=7.0, tolerance_cells=6.0)),
         ("chance", finding(net=90.0, rival_net=5.0, lines=7.0, ratio=0.8, mutual_ratio=0.3)),
         ("chance", finding(ratio=0.15, chance=0.005)),
@@ -89,6 +90,21 @@ def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, fo
     assert any(c.isdigit() for c in result.reason)
     assert result.confidence < MIN_CONFIDENCE
     assert (result.rival == RIVAL) == (gate == "ambiguous")
+
+
+@pytest.mark.parametrize("doubt", [{"mutual_ratio": 0.3}, {"contradiction": 0.3}])
+def test_many_walls_may_join_despite_a_doubt_where_the_confidence_is_high(
+    place: PreparedMap, doubt: dict[str, float]
+) -> None:
+    result = judged(place, finding(net=60.0, rival_net=5.0, **doubt))
+    assert result.accepted, result.reason
+    assert result.confidence >= SURE
+
+
+def test_two_doubts_at_once_ask_for_more_confidence() -> None:
+    assert least_confidence(GOOD | {"mutual_ratio": 0.3}) == MIN_CONFIDENCE
+    assert least_confidence(GOOD | {"contradiction": 0.3}) == MIN_CONFIDENCE
+    assert least_confidence(GOOD | {"mutual_ratio": 0.3, "contradiction": 0.3}) == SURE
 
 
 def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: PreparedMap) -> None:
