@@ -32,8 +32,8 @@ SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 70.0
 """Maps that share less than this of the smaller one need so much evidence: the less they share, the more ways there are
 to share it. So do maps that contradict each other, and few walls that agree loosely only: they leave the pose loose."""
 SURE = 0.92
-"""Confidence from which on many walls need no more evidence than others. Maps that share little and contradict each other
-too need it."""
+"""Confidence from which on many walls need no more evidence than others. Maps that share little and contradict each
+other too need it."""
 FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
 """Where they share as few walls as two things have, nearly all of the walls must agree, or long ones: two things that
 stand alike in both are no place yet."""
