@@ -98,14 +98,15 @@ def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
     free = widen_free(smooth, clear | rough_walls)
     known = grid.known | free
     surface = extract_surface(smooth, free)
+    field = surface_field(surface, free, known) if len(surface) else None
     area, cells_per_area_sample = _raster(known)
     return PreparedMap(
         grid=grid,
         walls=walls,
-        field=surface_field(surface, free, known) if len(surface) else None,
+        field=field,
         area=area,
         cells_per_area_sample=cells_per_area_sample,
-        centre=surface.points.mean(axis=0).astype(np.float64) if len(surface) else np.zeros(2),
+        centre=np.zeros(2) if field is None else field.walls[:2].mean(axis=1).astype(np.float64),
         key=hashlib.sha256(grid.cells.tobytes()).digest(),
     )
 
