@@ -77,6 +77,7 @@ def main() -> None:
     parser.add_argument("--variants", nargs="*", default=[])
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
+    cv2.setNumThreads(1)  # processes that fork off must not inherit a pool of threads
     with ProcessPoolExecutor(args.jobs) as executor:
         for folder in args.folders:
             pairs = list(read_pairs(folder))

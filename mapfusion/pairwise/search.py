@@ -50,8 +50,8 @@ class Effort:
         num_rotations: How many rotations of the walls as a whole are tried.
         num_starts: How many poses are refined roughly.
         num_candidates: How many of them finely.
-        is_stepped: Whether the poses around a pose are tried before it is refined.
-        has_levels: Whether large maps are searched at coarser resolutions as well.
+        is_exhaustive: Whether the poses around a pose are tried before it is refined, and large maps are searched at
+            coarser resolutions as well.
         num_scrutinised: How many poses are looked at closely.
     """
 
@@ -59,8 +59,7 @@ class Effort:
     num_rotations: int
     num_starts: int
     num_candidates: int
-    is_stepped: bool
-    has_levels: bool
+    is_exhaustive: bool
     num_scrutinised: int
 
 
@@ -69,8 +68,7 @@ QUICK = Effort(
     num_rotations=12,
     num_starts=24,
     num_candidates=8,
-    is_stepped=False,
-    has_levels=False,
+    is_exhaustive=False,
     num_scrutinised=5,
 )
 THOROUGH = Effort(
@@ -78,8 +76,7 @@ THOROUGH = Effort(
     num_rotations=40,
     num_starts=32,
     num_candidates=16,
-    is_stepped=True,
-    has_levels=True,
+    is_exhaustive=True,
     num_scrutinised=10,
 )
 
@@ -130,21 +127,26 @@ def propose(
 ) -> Poses:
     """Hypotheses (K, 3) from features and from the maps as a whole.
 
-    With those that a quick search of the maps had, `known`, its rotations are not tried again.
+    With those that a quick search of the maps had, `known`, its rotations are not tried again. Where coarser
+    resolutions are searched, more rotations than a quick search has are left to them.
     """
     assert target.field is not None
     assert source.field is not None
-    voted = vote(target.features, source.features, matches, source.centre, effort.num_voted)
+    is_large = max(*target.grid.cells.shape, *source.grid.cells.shape) >= LARGE_CELLS
     first = 0 if known is None else QUICK.num_rotations
-    whole = correlate(target.field, source.field, source.centre, first, effort.num_rotations)
-    proposed = [voted, whole] if known is None else [voted, known, whole]
-    if effort.has_levels and max(*target.grid.cells.shape, *source.grid.cells.shape) >= LARGE_CELLS:
+    last = QUICK.num_rotations if is_large and effort.is_exhaustive else effort.num_rotations
+    proposed = [vote(target.features, source.features, matches, source.centre, effort.num_voted)]
+    if known is not None:
+        proposed.append(known)
+    if first < last:
+        proposed.append(correlate(target.field, source.field, source.centre, first, last))
+    if is_large and effort.is_exhaustive:
         proposed.append(_found_coarsely(target, source, effort))
     return np.concatenate(proposed)
 
 
 def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) -> Poses:
-    """The candidates (K, 3) of the same maps at twice the cell size.
+    """The best few poses (K, 3) of the same maps at twice the cell size.
 
     A search sees large maps as through a veil: its images have cells of half a metre, and by the step from one
     rotation to the next their far walls move by more than it looks for them.
@@ -154,11 +156,12 @@ def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) ->
         return np.empty((0, 3))
     matches = match(coarse_target.features, coarse_source.features)
     hypotheses = propose(coarse_target, coarse_source, matches, effort)
-    candidates = refine_and_rank(coarse_target, coarse_source, hypotheses, matches, effort)
+    refined = _refined(coarse_target, coarse_source, hypotheses, effort)
+    likely = best_distinct(coarse_target, coarse_source, refined, FINE_POINTS, effort.num_scrutinised)
     resolution_m = target.grid.resolution_m
     at_target = target.grid.T_frame_grid.inverse() @ coarse_target.grid.T_frame_grid
     at_source = coarse_source.grid.T_frame_grid.inverse() @ source.grid.T_frame_grid
-    found = [at_target @ to_se2(one.pose, 2.0 * resolution_m) @ at_source for one in candidates]
+    found = [at_target @ to_se2(pose, 2.0 * resolution_m) @ at_source for pose in likely]
     return np.array([from_se2(T, resolution_m) for T in found])
 
 
@@ -198,16 +201,7 @@ def refine_and_rank(
     """The best few of the hypotheses (K, 3), refined, none of them like another; the most plausible first."""
     assert target.field is not None
     assert source.field is not None
-    fields, centre = (target.field, source.field), source.centre
-    starts = best_distinct(target, source, hypotheses, COARSE_POINTS, effort.num_starts)
-    if effort.is_stepped:
-        starts = best_nearby(target, source, starts, WIDE_STEPS)
-    wide, _ = refine(*fields, starts, centre, WIDE_REACHES, COARSE_POINTS)
-    wide = best_distinct(target, source, wide, FINE_POINTS, effort.num_candidates)
-    if effort.is_stepped:
-        wide = np.concatenate([wide, best_nearby(target, source, wide, TIGHT_STEPS)])
-    tight, _ = refine(*fields, wide, centre, TIGHT_REACHES, FINE_POINTS)
-    poses = np.concatenate([tight, wide])
+    poses = _refined(target, source, hypotheses, effort)
     evidence = weigh(target, source, poses, EVIDENCE_POINTS)
     best = int(evidence.net.argmax())
     if evidence.conditioning[best] < SLIDING_CONDITIONING:
@@ -220,6 +214,22 @@ def refine_and_rank(
     chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, count)]
     candidates = [_candidate(target, source, poses[k], evidence, int(k), matches) for k in chosen]
     return sorted(candidates, key=lambda one: -one.plausibility)
+
+
+def _refined(target: PreparedMap, source: PreparedMap, hypotheses: Poses, effort: Effort) -> Poses:
+    """The best few of the hypotheses (K, 3), refined: the poses (K, 3) after the last step, then those of before it."""
+    assert target.field is not None
+    assert source.field is not None
+    fields, centre = (target.field, source.field), source.centre
+    starts = best_distinct(target, source, hypotheses, COARSE_POINTS, effort.num_starts)
+    if effort.is_exhaustive:
+        starts = best_nearby(target, source, starts, WIDE_STEPS)
+    wide, _ = refine(*fields, starts, centre, WIDE_REACHES, COARSE_POINTS)
+    wide = best_distinct(target, source, wide, FINE_POINTS, effort.num_candidates)
+    if effort.is_exhaustive:
+        wide = np.concatenate([wide, best_nearby(target, source, wide, TIGHT_STEPS)])
+    tight, _ = refine(*fields, wide, centre, TIGHT_REACHES, FINE_POINTS)
+    return np.concatenate([tight, wide])
 
 
 def _slid(target: SurfaceField, source: SurfaceField, pose: Poses, centre: Poses) -> Poses:

@@ -202,4 +202,4 @@ def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_ta
     lever = np.array([[1.0, 0.0, arm[1]], [0.0, 1.0, -arm[0]], [0.0, 0.0, 1.0]])
     jacobian = lever @ to_metres
     result: FloatArray = jacobian @ at_centre @ jacobian.T
-    return result
+    return (result + result.T) / 2.0  # sums of 32-bit floats leave the information symmetric to seven digits only
