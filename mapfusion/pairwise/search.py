@@ -127,22 +127,28 @@ def propose(
 ) -> Poses:
     """Hypotheses (K, 3) from features and from the maps as a whole.
 
-    With those that a quick search of the maps had, `known`, its rotations are not tried again. Where coarser
-    resolutions are searched, more rotations than a quick search has are left to them.
+    With those that a quick search of the maps had, `known`, its rotations are not tried again. Where a coarser
+    resolution is searched, more rotations than a quick search has are left to it.
     """
     assert target.field is not None
     assert source.field is not None
-    is_large = max(*target.grid.cells.shape, *source.grid.cells.shape) >= LARGE_CELLS
+    is_coarsened = effort.is_exhaustive and _can_be_coarsened(target, source)
     first = 0 if known is None else QUICK.num_rotations
-    last = QUICK.num_rotations if is_large and effort.is_exhaustive else effort.num_rotations
+    last = QUICK.num_rotations if is_coarsened else effort.num_rotations
     proposed = [vote(target.features, source.features, matches, source.centre, effort.num_voted)]
     if known is not None:
         proposed.append(known)
     if first < last:
         proposed.append(correlate(target.field, source.field, source.centre, first, last))
-    if is_large and effort.is_exhaustive:
+    if is_coarsened:
         proposed.append(_found_coarsely(target, source, effort))
     return np.concatenate(proposed)
+
+
+def _can_be_coarsened(target: PreparedMap, source: PreparedMap) -> bool:
+    """Whether maps are large, and have walls enough at twice the cell size."""
+    is_large = max(*target.grid.cells.shape, *source.grid.cells.shape) >= LARGE_CELLS
+    return is_large and min(target.coarser.num_walls, source.coarser.num_walls) >= MIN_WALL_CELLS
 
 
 def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) -> Poses:
@@ -152,8 +158,6 @@ def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) ->
     rotation to the next their far walls move by more than it looks for them.
     """
     coarse_target, coarse_source = target.coarser, source.coarser
-    if min(coarse_target.num_walls, coarse_source.num_walls) < MIN_WALL_CELLS:
-        return np.empty((0, 3))
     matches = match(coarse_target.features, coarse_source.features)
     hypotheses = propose(coarse_target, coarse_source, matches, effort)
     refined = _refined(coarse_target, coarse_source, hypotheses, effort)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.search import Candidate, Finding, with_rivals_of
+from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION
+from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap, prepare
+from mapfusion.pairwise.search import LARGE_CELLS, THOROUGH, Candidate, Finding, propose, with_rivals_of
+from mapfusion.pairwise.voting import match
 from tests.core.pairwise.test_verdict import GOOD
 from tests.fakes import grid_of, rooms
 
@@ -32,3 +34,12 @@ def test_what_is_the_same_alignment_is_no_rival(place: PreparedMap) -> None:
     finding = Finding(candidate(0.0, 30.0), np.eye(3), None, is_searched=True)
     other = Finding(candidate(2.0, 31.0), np.eye(3), candidate(3.0, 20.0), is_searched=True)
     assert with_rivals_of(finding, other, place, place).rival is None
+
+
+def test_a_large_map_with_too_few_walls_for_a_coarser_resolution_is_turned_as_often_as_any() -> None:
+    cells = np.zeros((LARGE_CELLS + 100, 80), np.int8)
+    cells[20:36, 20:22], cells[20:22, 20:28] = 100, 100
+    sparse = prepare(grid_of(cells), 0.1)
+    assert sparse.num_walls >= MIN_WALL_CELLS > sparse.coarser.num_walls
+    hypotheses = propose(sparse, sparse, match(sparse.features, sparse.features), THOROUGH)
+    assert len(hypotheses) >= THOROUGH.num_rotations * 2 * PEAKS_PER_ROTATION
