@@ -44,6 +44,7 @@ from mapfusion.pairwise.verdict import (
     MIN_RATIO,
     SLIDING_MARGIN,
     are_few_things,
+    is_adrift,
     least_confidence,
     least_evidence,
     too_little,
@@ -228,7 +229,8 @@ def judge(pair: Pair) -> Judged:
     matches = match(target.features, source.features)
     hypotheses = search.propose(target, source, matches, search.THOROUGH)
     candidates = search.refine_and_rank(target, source, hypotheses, matches, search.THOROUGH)
-    candidates = [search.recheck(target, source, candidates[0].pose, matches).best, *candidates]
+    polished = search.recheck(target, source, candidates[0].pose, matches)
+    candidates = [search.with_firmness(polished, target, source).best, *candidates]
     poses: Poses = np.array([one.pose for one in candidates])
     cells = search.distinct_cells(target, source)
     apart = differ(poses, poses, source.centre, cells, search.DISTINCT_DEGREES)
@@ -328,7 +330,7 @@ def report(all_judged: Sequence[Judged]) -> None:
     least = np.array([least_evidence(f, trust) for f, trust in zip(best, sure, strict=True)])
     joined &= np.array([f["net"] for f in best]) >= least
     joined &= np.array([f["ratio"] for f in best]) >= MIN_RATIO
-    joined &= np.array([not are_few_things(f) for f in best])
+    joined &= np.array([not are_few_things(f) and not is_adrift(f) for f in best])
     sliding = np.array([figures["conditioning"] < search.SLIDING_CONDITIONING for figures in best])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])

@@ -1,6 +1,6 @@
 """How far an alignment is to be trusted, and by how much one is to be preferred to another: two fitted models.
 
-Both are linear in a few terms of the figures that `evidence`, `scrutiny` and `keypoints` give.
+Both are linear in a few terms of the figures that `evidence`, `scrutiny`, `keypoints` and `firmness` give.
 `benchmarks/fit_verdict.py` fits them on pairs with known truth; benchmarks/RESULTS.md says on which, and how they do on
 buildings that were held out.
 """
@@ -25,17 +25,18 @@ PLAUSIBILITY = {
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -26.972,
-    "net": 1.656,
-    "gain": 0.811,
-    "lines": 4.113,
-    "run": -0.534,
-    "crossing": -1.832,
-    "margin": 0.896,
-    "opposite": -15.303,
-    "overlap": 3.239,
-    "outside": 8.105,
-    "keypoints": 0.335,
+    "bias": -32.937,
+    "net": 2.467,
+    "gain": 1.13,
+    "lines": 4.33,
+    "run": -0.362,
+    "crossing": -1.927,
+    "margin": 0.911,
+    "opposite": -6.035,
+    "overlap": 3.095,
+    "outside": 7.163,
+    "keypoints": 0.337,
+    "firm": 5.888,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 
@@ -49,8 +50,13 @@ MAX_OUTSIDE = 0.7
 """More walls outside the common area than this tell no more."""
 MAX_MARGIN = 4.0
 """Plausibility over a rival's from which on it is none."""
-KNOWN_KEYPOINTS = 2.5
-"""Taken for a transform that is only verified, whose keypoints were counted when it was found."""
+MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
+"""Less firmness than the first and more than the second tells no more."""
+SMALL_OVERLAP, MAX_FIRMNESS_OF_LITTLE = 0.4, 0.2
+"""Where maps share less than the first of the smaller one, more firmness than the second tells no more: the few things
+that stand alike in two places are firm as well."""
+KNOWN_KEYPOINTS, KNOWN_FIRMNESS = 2.5, MAX_FIRMNESS
+"""Taken for a transform that is only verified, whose keypoints and parts were looked at when it was found."""
 
 
 def plausibility_terms(figures: Figures) -> dict[str, float]:
@@ -83,6 +89,7 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
     """What the confidence is made of; each term is held to the range in which it tells right from wrong."""
     # A run of wall across free space is to be seen against the size of what is compared.
     run = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
+    most_firmness = MAX_FIRMNESS_OF_LITTLE if figures["mutual_ratio"] < SMALL_OVERLAP else MAX_FIRMNESS
     return {
         "bias": 1.0,
         "net": _log(min(figures["net"], MAX_NET)),
@@ -95,6 +102,7 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
         "overlap": math.log(max(figures["mutual_ratio"], 0.01)),
         "outside": min(figures["outside"], MAX_OUTSIDE),
         "keypoints": figures.get("keypoints", KNOWN_KEYPOINTS),
+        "firm": min(max(figures.get("firmness", KNOWN_FIRMNESS), MIN_FIRMNESS), most_firmness),
     }
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from mapfusion.pairwise.confidence import plausibility
 from mapfusion.pairwise.correlation import correlate
 from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, weigh
+from mapfusion.pairwise.firmness import firmness
 from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, squared_offsets
 from mapfusion.pairwise.poses import Poses, differ, distinct, from_se2, to_se2
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
@@ -87,7 +88,8 @@ class Candidate:
 
     Attributes:
         pose: (3,) of the source in the target, in cells.
-        figures: Its evidence, what the closer look found and what keypoints say, by name.
+        figures: Its evidence, what the closer look found and what keypoints say, by name; of the best pose of a search
+            its firmness as well.
     """
 
     pose: Poses
@@ -174,7 +176,7 @@ def examine(
 ) -> Finding:
     """The best of the hypotheses (K, 3), refined, with its evidence and its rival."""
     candidates = refine_and_rank(target, source, hypotheses, matches, effort)
-    found = recheck(target, source, candidates[0].pose, matches)
+    found = with_firmness(recheck(target, source, candidates[0].pose, matches), target, source)
     others = np.array([one.pose for one in candidates])
     (apart,) = differ(others[:1], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
     off = squared_offsets(target.features, source.features, matches, found.best.pose)
@@ -197,6 +199,13 @@ def with_rivals_of(finding: Finding, other: Finding, target: PreparedMap, source
     (apart,) = differ(finding.best.pose[None], poses, source.centre, cells, DISTINCT_DEGREES)
     rivals = [one for one, is_apart in zip(rivals, apart, strict=True) if is_apart]
     return replace(finding, rival=max(rivals, key=lambda one: one.plausibility, default=None))
+
+
+def with_firmness(finding: Finding, target: PreparedMap, source: PreparedMap) -> Finding:
+    """The finding with the firmness of its best pose among its figures."""
+    best = finding.best
+    figures = best.figures | {"firmness": firmness(target, source, best.pose)}
+    return replace(finding, best=replace(best, figures=figures))
 
 
 def refine_and_rank(

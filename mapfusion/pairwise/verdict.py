@@ -6,7 +6,7 @@ import numpy as np
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.confidence import MAX_MARGIN, Figures, confidence, margin
+from mapfusion.pairwise.confidence import MAX_MARGIN, MIN_FIRMNESS, SMALL_OVERLAP, Figures, confidence, margin
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
@@ -28,15 +28,19 @@ KNOWN_MARGIN = 3.0
 MIN_CONFIDENCE = 0.84
 MIN_RATIO = 0.2
 """Least share of the walls in the common area that must agree, however few would by chance."""
-SMALL_OVERLAP, MORE_EVIDENCE = 0.4, 70.0
-"""Maps that share less than this of the smaller one need so much evidence: the less they share, the more ways there are
-to share it. So do maps that contradict each other, and few walls that agree loosely only: they leave the pose loose."""
+MORE_EVIDENCE = 70.0
+"""Maps that share less than SMALL_OVERLAP of the smaller one need so much evidence: the less they share, the more ways
+there are to share it. So do maps that contradict each other, and few walls that agree loosely only: they leave the pose
+loose."""
 SURE = 0.92
-"""Confidence from which on many walls need no more evidence than others. Maps that share little and contradict each
-other too need it."""
+"""Confidence from which on many walls need no more evidence than others, unless they share little and agree loosely
+only. Maps that share little and contradict each other too need it."""
+SOME_OPPOSITE, VERY_SURE = 0.1, 0.95
+"""From this share of walls that lie on walls seen from the other side on, so much confidence is needed: either the maps
+are so noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
 FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
-"""Where they share as few walls as two things have, nearly all of the walls must agree, or long ones: two things that
-stand alike in both are no place yet."""
+"""Where they share as few walls as two things have, nearly all of the walls must agree, and not loosely, or long ones:
+two things that stand alike in both are no place yet."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
@@ -143,6 +147,12 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             "what agrees is round: it fixes no rotation "
             f"(hold on the rotation {figures['turning']:.3f}, at least {MIN_TURNING} is needed)"
         )
+    if is_adrift(figures):
+        return "parts", (
+            "parts of the maps would lie as well some cells away: only those that hold "
+            f"{figures['firmness']:.0%} of the walls in the common area stay where the alignment puts them "
+            f"(at least {MIN_FIRMNESS:.0%} where walls agree within {figures['tolerance_cells']:g} cells); {agreement}"
+        )
     least_margin = SLIDING_MARGIN if figures["conditioning"] < SLIDING_CONDITIONING else MIN_MARGIN
     least_trust = least_confidence(figures)
     is_close = _margin(finding) < least_margin or trust < least_trust <= confidence(figures, MAX_MARGIN)
@@ -164,14 +174,15 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 
 def least_evidence(figures: Figures, trust: float) -> float:
     """The net evidence that a pose with these figures and this confidence needs."""
-    is_few = figures["lines"] < FEW_LINES
-    is_loose = is_few and figures["tolerance_cells"] >= max(TOLERANCES_CELLS)
-    is_sure = not is_few and trust >= SURE
-    return MORE_EVIDENCE if is_loose or (any(_doubts(figures)) and not is_sure) else MIN_EVIDENCE
+    is_few, is_loose, doubts = figures["lines"] < FEW_LINES, _is_loose(figures), _doubts(figures)
+    is_sure = trust >= SURE and not is_few and not (is_loose and doubts[0])
+    return MORE_EVIDENCE if (is_few and is_loose) or (any(doubts) and not is_sure) else MIN_EVIDENCE
 
 
 def least_confidence(figures: Figures) -> float:
     """The confidence that a pose with these figures needs."""
+    if figures["opposite"] > SOME_OPPOSITE:
+        return VERY_SURE
     return SURE if all(_doubts(figures)) else MIN_CONFIDENCE
 
 
@@ -183,7 +194,18 @@ def _doubts(figures: Figures) -> tuple[bool, bool]:
 def are_few_things(figures: Figures) -> bool:
     """Whether what agrees may be one or two things that stand alike in two places."""
     is_little = figures["mutual_ratio"] < SMALL_OVERLAP and figures["lines"] < FEW_LINES
-    return is_little and figures["ratio"] < MIN_RATIO_OF_FEW and figures["net"] < MUCH_EVIDENCE
+    agree = figures["ratio"] >= MIN_RATIO_OF_FEW and not _is_loose(figures)
+    return is_little and not agree and figures["net"] < MUCH_EVIDENCE
+
+
+def is_adrift(figures: Figures) -> bool:
+    """Whether hardly any part of the maps stays where the pose puts it, though they are not bent."""
+    return not _is_loose(figures) and figures.get("firmness", MIN_FIRMNESS) < MIN_FIRMNESS
+
+
+def _is_loose(figures: Figures) -> bool:
+    """Whether walls agree at the widest tolerance only, as those of bent maps do."""
+    return figures["tolerance_cells"] >= max(TOLERANCES_CELLS)
 
 
 def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_target_source: SE2) -> FloatArray:

@@ -6,6 +6,7 @@ import pytest
 
 from mapfusion.pairwise.confidence import (
     CONFIDENCE,
+    KNOWN_FIRMNESS,
     KNOWN_KEYPOINTS,
     MAX_MARGIN,
     MAX_NET,
@@ -29,6 +30,7 @@ FIGURES = {
     "mutual_ratio": 0.4,
     "outside": 0.5,
     "keypoints": 2.0,
+    "firmness": 0.2,
     "inliers_near": 20.0,
     "inliers_wide": 40.0,
 }
@@ -66,6 +68,7 @@ def test_plausibility_grows_with_what_speaks_for_a_pose(better: dict[str, float]
         {"keypoints": 3.0},
         {"opposite": 0.0},
         {"mutual_ratio": 0.6},
+        {"firmness": 0.3},
     ],
 )
 def test_confidence_grows_with_what_speaks_for_a_pose(better: dict[str, float]) -> None:
@@ -74,6 +77,13 @@ def test_confidence_grows_with_what_speaks_for_a_pose(better: dict[str, float]) 
 
 def test_more_evidence_than_repetition_has_too_is_no_more_confidence() -> None:
     assert confidence(FIGURES | {"net": MAX_NET}, 2.0) == confidence(FIGURES | {"net": 30.0 * MAX_NET}, 2.0)
+
+
+def test_where_maps_share_little_firmness_tells_less() -> None:
+    firm, very_firm = {"firmness": 0.2}, {"firmness": 0.4}
+    assert confidence(FIGURES | very_firm, 2.0) > confidence(FIGURES | firm, 2.0)
+    little = FIGURES | {"mutual_ratio": 0.39}
+    assert confidence(little | very_firm, 2.0) == confidence(little | firm, 2.0)
 
 
 def test_a_close_rival_takes_confidence() -> None:
@@ -89,6 +99,7 @@ def test_nothing_at_all_is_no_error_and_no_confidence() -> None:
     assert plausibility(nothing) < plausibility(FIGURES)
 
 
-def test_a_transform_that_is_only_verified_needs_no_keypoints() -> None:
-    without = {name: value for name, value in FIGURES.items() if name != "keypoints"}
-    assert confidence(without, 2.0) == confidence(FIGURES | {"keypoints": KNOWN_KEYPOINTS}, 2.0)
+def test_a_transform_that_is_only_verified_needs_neither_keypoints_nor_firmness() -> None:
+    without = {name: value for name, value in FIGURES.items() if name not in ("keypoints", "firmness")}
+    known = {"keypoints": KNOWN_KEYPOINTS, "firmness": KNOWN_FIRMNESS}
+    assert confidence(without, 2.0) == confidence(FIGURES | known, 2.0)

@@ -11,7 +11,7 @@ from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
-from mapfusion.pairwise.verdict import MIN_CONFIDENCE, SURE, judge, least_confidence, too_little
+from mapfusion.pairwise.verdict import MIN_CONFIDENCE, SURE, VERY_SURE, judge, least_confidence, too_little
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 from tests.fakes import flat, grid_of, rooms
@@ -77,6 +77,7 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
         ("contradiction", finding(contradiction=0.7)),
         ("one direction", finding(conditioning=0.001)),
         ("one direction", finding(turning=0.01)),
+        ("parts", finding(firmness=0.05)),
         ("ambiguous", replace(finding(), rival=finding().best)),
         (
             "confidence",
@@ -107,12 +108,35 @@ def test_two_doubts_at_once_ask_for_more_confidence() -> None:
     assert least_confidence(GOOD | {"mutual_ratio": 0.3, "contradiction": 0.3}) == SURE
 
 
+def test_walls_seen_from_the_other_side_ask_for_more_confidence() -> None:
+    assert least_confidence(GOOD | {"opposite": 0.09}) == MIN_CONFIDENCE
+    assert least_confidence(GOOD | {"opposite": 0.11, "contradiction": 0.3}) == VERY_SURE
+
+
+def test_many_walls_that_agree_loosely_only_join_no_maps_that_share_little(place: PreparedMap) -> None:
+    little = {"net": 60.0, "rival_net": 5.0, "mutual_ratio": 0.3}
+    assert judged(place, finding(**little)).accepted
+    assert judged(place, finding(**little, tolerance_cells=6.0)).gate == "chance"
+    assert judged(place, finding(**little | {"mutual_ratio": 0.5}, tolerance_cells=6.0)).accepted
+
+
+def test_few_things_that_agree_loosely_only_are_no_place(place: PreparedMap) -> None:
+    few = {"net": 90.0, "rival_net": 5.0, "lines": 7.0, "ratio": 0.95, "mutual_ratio": 0.3, "outside": 0.6}
+    assert judged(place, finding(**few)).gate != "chance"
+    assert judged(place, finding(**few, tolerance_cells=6.0)).gate == "chance"
+
+
 def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: PreparedMap) -> None:
     close = {"net": 200.0, "lines": 20.0, "keypoints": 2.7, "inliers_near": 45.0, "inliers_wide": 80.0}
     rival = Candidate(np.zeros(3), GOOD | close)
     assert judged(place, replace(finding(), rival=rival)).accepted
     assert judged(place, replace(finding(conditioning=0.1), rival=rival)).gate == "ambiguous"
     assert judged(place, finding(conditioning=0.1)).accepted
+
+
+def test_parts_of_bent_maps_need_not_stay(place: PreparedMap) -> None:
+    assert judged(place, finding(firmness=0.05, tolerance_cells=3.0)).gate == "parts"
+    assert judged(place, finding(firmness=0.05, tolerance_cells=6.0)).accepted
 
 
 def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
@@ -130,6 +154,7 @@ def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
         {"crossing_cells": 0.0},
         {"crossing": 0.0},
         {"keypoints": 3.0},
+        {"firmness": 0.3},
         {"rival_net": 5.0},
     ],
 )
@@ -142,6 +167,7 @@ def test_confidence_grows_with_every_kind_of_evidence(place: PreparedMap, better
         "crossing_cells": 20.0,
         "crossing": 0.05,
         "keypoints": 1.0,
+        "firmness": 0.15,
         "rival_net": 20.0,
     }
     assert judged(place, finding(**(worse | better))).confidence > judged(place, finding(**worse)).confidence

@@ -1,0 +1,87 @@
+"""Whether every part of a map, left to itself, stays where the pose of the whole puts it.
+
+A wrong pose is the best of many: some parts of the map lie well by chance, the others were carried along and would lie
+as well, or better, some cells away. Of a right pose nearly every part that is no bare corridor prefers where it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.pairwise.poses import Poses, inverse, moved
+from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, meetings
+from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats
+
+NUM_HALVINGS = 4
+"""A map's walls are halved so often: 16 parts."""
+MIN_PART_POINTS = 12
+"""Fewer walls are no part of their own: a map with few is halved less often."""
+POINTS_PER_PART = 48
+STEP_CELLS, MAX_SHIFT_CELLS = 4, 24
+"""A part is tried on a lattice of shifts."""
+STAYS_CELLS, ELSEWHERE_CELLS = 8, 12
+"""A shift up to the first leaves a part where it is, as maps bend; one from the second on takes it elsewhere."""
+MIN_LEAD = 0.1
+"""By which share of its points a part must lie better where it is than anywhere else."""
+
+_STEPS = np.arange(-MAX_SHIFT_CELLS, MAX_SHIFT_CELLS + 1, STEP_CELLS, dtype=np.int32)
+_SHIFTS = np.stack(np.meshgrid(_STEPS, _STEPS, indexing="ij"), -1).reshape(-1, 2)
+_LENGTH = np.abs(_SHIFTS).max(axis=1)
+
+
+def firmness(target: PreparedMap, source: PreparedMap, pose: Poses) -> float:
+    """The share of the walls in the area known in both that belong to parts which stay, in [0, 1].
+
+    Args:
+        target: A map with walls.
+        source: Another one.
+        pose: (3,) of the source in the target, in cells.
+    """
+    stays, number = np.add(_one_way(target, source, pose), _one_way(source, target, inverse(pose[None])[0]))
+    return float(stays / max(number, 1))
+
+
+def _one_way(there: PreparedMap, here: PreparedMap, pose: Poses) -> tuple[int, int]:
+    """Walls of `here` whose part stays under `pose` in `there`, and all of its walls in the common area."""
+    assert there.field is not None
+    assert here.field is not None
+    surface = here.field.surface
+    points = moved(pose[None], surface.points)
+    known = np.flatnonzero(there.field.depth.ravel().take(there.field.cells_below(points)[0]) != NOT_KNOWN)
+    parts = _parts(surface.points, known)
+    if not parts:
+        return 0, len(known)
+    some = [part[np.arange(n) * len(part) // n] for part in parts for n in [min(len(part), POINTS_PER_PART)]]
+    chosen = np.concatenate(some)
+    cells = (points[0][:, chosen] + np.float32(FIELD_MARGIN)).astype(np.int32)
+    height, width = there.sketch.shape
+    x = (_SHIFTS[:, :1] + cells[0]).clip(0, width - 1)
+    y = (_SHIFTS[:, 1:] + cells[1]).clip(0, height - 1)
+    facing = surface.facing().take(chosen)
+    met = meetings(there.sketch.ravel().take(y * width + x), facing, np.full(len(_SHIFTS), pose[2]))
+    sizes = np.array([len(part) for part in some])
+    summed = np.add.reduceat(met, np.cumsum(sizes) - sizes, axis=1)
+    lies_well = summed % CONTRADICTS // AGREES - summed // CONTRADICTS
+    lead = lies_well[_LENGTH <= STAYS_CELLS].max(axis=0) - lies_well[_LENGTH >= ELSEWHERE_CELLS].max(axis=0)
+    stays = lead > MIN_LEAD * sizes
+    return int(np.array([len(part) for part in parts])[stays].sum()), len(known)
+
+
+def _parts(points: Floats, chosen: npt.NDArray[np.intp]) -> list[npt.NDArray[np.intp]]:
+    """The chosen (N,) of some points (M, 2), halved across their longer side again and again."""
+    parts = [chosen] if len(chosen) >= MIN_PART_POINTS else []
+    for _ in range(NUM_HALVINGS):
+        if not parts or min(map(len, parts)) < 2 * MIN_PART_POINTS:
+            break
+        parts = [half for part in parts for half in _halves(points, part)]
+    return parts
+
+
+def _halves(points: Floats, part: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    along = points.take(part, axis=0)
+    axis = int(np.ptp(along, axis=0).argmax())
+    order = part[np.argsort(along[:, axis], kind="stable")]
+    middle = len(order) // 2
+    return order[:middle], order[middle:]

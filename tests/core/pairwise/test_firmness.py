@@ -1,0 +1,64 @@
+"""Whether the parts of a map stay where a pose puts them, on walls drawn for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapfusion.grid import Cells
+from mapfusion.pairwise.firmness import firmness
+from mapfusion.pairwise.poses import inverse
+from mapfusion.pairwise.prepared import PreparedMap, prepare
+from tests.fakes import flat, grid_of, rooms
+
+AS_IT_IS = np.zeros(3)
+
+
+def prepared(cells: Cells) -> PreparedMap:
+    return prepare(grid_of(cells), 0.1)
+
+
+def test_parts_of_a_map_stay_where_they_are() -> None:
+    place = prepared(rooms(seed=3))
+    assert firmness(place, place, AS_IT_IS) > 0.6
+
+
+@pytest.mark.parametrize("pose", [(2.0, 1.0, 0.01), (-3.0, 4.0, 0.0)])
+def test_a_few_cells_off_they_stay_still(pose: tuple[float, float, float]) -> None:
+    place = prepared(rooms(seed=3))
+    assert firmness(place, place, np.array(pose)) > 0.6
+
+
+@pytest.mark.parametrize("pose", [(18.0, 0.0, 0.0), (0.0, -18.0, 0.0), (5.0, 5.0, 1.6)])
+def test_parts_that_were_carried_along_would_rather_lie_elsewhere(pose: tuple[float, float, float]) -> None:
+    place = prepared(rooms(seed=3))
+    assert firmness(place, place, np.array(pose)) < 0.1
+
+
+def test_parts_of_a_corridor_slide() -> None:
+    corridor = flat(40, 400, 0)
+    corridor[:3] = corridor[-3:] = 100
+    straight = prepared(corridor)
+    assert firmness(straight, straight, AS_IT_IS) == 0.0
+
+
+def test_nothing_stays_where_maps_do_not_meet() -> None:
+    place = prepared(rooms(seed=3))
+    assert firmness(place, place, np.array([1000.0, 0.0, 0.0])) == 0.0
+
+
+def test_few_walls_are_one_part() -> None:
+    corner = flat(60, 60, -1)
+    corner[20:40, 20:40] = 0
+    corner[20:40, 19] = corner[19, 20:34] = 100
+    small = prepared(corner)
+    assert small.num_walls < 48
+    assert firmness(small, small, AS_IT_IS) == 1.0
+
+
+def test_exchanging_the_maps_changes_nothing() -> None:
+    one, other = prepared(rooms(seed=3)), prepared(rooms(seed=3)[40:, 30:])
+    pose = np.array([30.0, 40.0, 0.0])
+    there = firmness(one, other, pose)
+    assert there > 0.5
+    assert firmness(other, one, inverse(pose[None])[0]) == pytest.approx(there, abs=0.02)
