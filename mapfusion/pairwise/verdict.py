@@ -29,12 +29,12 @@ MIN_CONFIDENCE = 0.84
 MIN_RATIO = 0.2
 """Least share of the walls in the common area that must agree, however few would by chance."""
 MORE_EVIDENCE = 70.0
-"""Maps that share less than SMALL_OVERLAP of the smaller one need so much evidence: the less they share, the more ways
-there are to share it. So do maps that contradict each other, and few walls that agree loosely only: they leave the pose
-loose."""
+"""Few walls, or walls that agree loosely only, need so much evidence where maps share less than SMALL_OVERLAP of the
+smaller one, as the less they share the more ways there are to share it, and where they contradict each other. So do few
+walls that agree loosely, which leave the pose loose."""
 SURE = 0.92
-"""Confidence from which on many walls need no more evidence than others, unless they share little and agree loosely
-only. Maps that share little and contradict each other too need it."""
+"""Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
+Maps that share little and contradict each other too need it."""
 SOME_OPPOSITE, VERY_SURE = 0.1, 0.95
 """From this share of walls that lie on walls seen from the other side on, so much confidence is needed: either the maps
 are so noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
@@ -175,7 +175,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 def least_evidence(figures: Figures, trust: float) -> float:
     """The net evidence that a pose with these figures and this confidence needs."""
     is_few, is_loose, doubts = figures["lines"] < FEW_LINES, _is_loose(figures), _doubts(figures)
-    is_sure = trust >= SURE and not is_few and not (is_loose and doubts[0])
+    is_sure = not is_few and (not is_loose or (trust >= SURE and not doubts[0]))
     return MORE_EVIDENCE if (is_few and is_loose) or (any(doubts) and not is_sure) else MIN_EVIDENCE
 
 
