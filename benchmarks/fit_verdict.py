@@ -4,8 +4,9 @@
 
 PAIRS are folders of map pairs with truth (pairs.json with id, a, b, M, kp_a, kp_b, same_plan, and images). To the pairs
 themselves come views cut from them by half planes, the second one turned at random: of one place with overlap, of
-one place without (whatever is claimed there is wrong), and of different places; and pairs of both generators of
-`mapfusion evaluate`. Buildings are held out whole, in turn, when the models are judged.
+one place without (whatever is claimed there is wrong), and of different places; views of a map and of a bent copy of
+it; and pairs of both generators of `mapfusion evaluate`. Some of all but the pairs themselves are noisy. Buildings are
+held out whole, in turn, when the models are judged.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+from damage import bent_copy, noisy
 from scipy.optimize import minimize
 
 from mapfusion.evaluation.pairs import make_pair
@@ -164,6 +166,23 @@ def views(pair: Pair, others: Sequence[Pair], number: int, rng: np.random.Genera
     other = others[int(rng.integers(len(others)))]
     if other.place != pair.place:
         yield Pair("views of different places", pair.place, _halves(pair, None, rng)[0], other.b, None)
+
+
+def bent_views(pair: Pair, number: int, rng: np.random.Generator) -> Iterator[Pair]:
+    """Overlapping views of the first map of a pair and of a bent copy of it."""
+    for _ in range(number):
+        copy = bent_copy(pair.a, rng)
+        if copy is not None:
+            whole = Pair("views of bent copies", pair.place, pair.a, *copy)
+            a, b = _halves(whole, None, rng)
+            if min(np.count_nonzero(one.known) for one in (a, b)) >= FEWEST_KNOWN:
+                yield replace(whole, a=a, b=b)
+
+
+def with_noise(pair: Pair, rng: np.random.Generator) -> Pair:
+    """The pair as it is, or with noise on both maps."""
+    a, b = noisy(pair.a, pair.b, rng)
+    return replace(pair, a=a, b=b)
 
 
 def _halves(pair: Pair, gap_m: float | None, rng: np.random.Generator) -> tuple[OccupancyGrid, OccupancyGrid]:
@@ -354,11 +373,17 @@ def main() -> None:
     cv2.setNumThreads(1)  # processes that fork off must not inherit a pool of threads
     rng = np.random.default_rng(args.seed)
     whole = [pair for folder in args.folders for pair in read_pairs(folder)]
+    of_one_place = [pair for pair in whole if pair.T_a_b is not None]
     cut = [
-        view for pair in whole if pair.kind not in ("paper", "lidar") for view in views(pair, whole, args.views, rng)
+        view
+        for pair in of_one_place
+        if pair.kind not in ("paper", "lidar")
+        for view in views(pair, of_one_place, args.views, rng)
     ]
+    bent = [view for pair in of_one_place if pair.kind != "paper" for view in bent_views(pair, 2, rng)]
+    made = [with_noise(pair, rng) for pair in (*cut, *bent, *simulated(args.simulated))]
     with ProcessPoolExecutor(args.jobs) as executor:
-        judged = list(executor.map(judge, [*whole, *cut, *simulated(args.simulated)], chunksize=4))
+        judged = list(executor.map(judge, [*whole, *made], chunksize=4))
     report([one for one in judged if one.figures])
 
 

@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +50,7 @@ STAGES = {
     "finishing": ("output.py", "finish"),
 }
 """Cumulative time of these functions, by module and name."""
+NUM_ROUNDS = 3
 
 
 def main() -> None:
@@ -118,10 +120,14 @@ def run(*arguments: str) -> Usage:
 
 
 def measure(recording: Path, output: Path) -> None:
-    """Replays with one and two jobs, reads and writes alone, each in a process of its own; and profiles once more."""
-    command = ["-m", "mapfusion_cli", "replay", str(recording), str(output), "--force", "--quiet", "--jobs"]
-    single, double = run(*command, "1"), run(*command, "2")
-    floor = run(__file__, str(recording), "--floor", str(output))
+    """Replays with one and two jobs, reads and writes alone, each in a process of its own; and profiles once more.
+
+    The medians of NUM_ROUNDS that take turns: what else the machine does then falls on all of them.
+    """
+    replay = ["-m", "mapfusion_cli", "replay", str(recording), str(output), "--force", "--quiet", "--jobs"]
+    commands = [*replay, "1"], [*replay, "2"], [__file__, str(recording), "--floor", str(output)]
+    rounds = [[run(*command) for command in commands] for _ in range(NUM_ROUNDS)]
+    single, double, floor = (Usage(*map(median, zip(*usages, strict=True))) for usages in zip(*rounds, strict=True))
     profiler = cProfile.Profile()
     done = profiler.runcall(run_job, job_of(recording, output), quiet=True)
     lasted_s = (done.mission.last_ns - done.mission.first_ns) * 1e-9

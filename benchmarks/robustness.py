@@ -18,28 +18,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from damage import flipped, jittered
 from fit_verdict import Pair, compare, read_pairs, turned
 
 from mapfusion import fuse_pair
-from mapfusion.grid import OccupancyGrid, resample
+from mapfusion.grid import resample
 
 COARSE_M = 0.1
-
-
-def flipped(grid: OccupancyGrid, share: float, rng: np.random.Generator) -> OccupancyGrid:
-    """A share of the known cells says the opposite."""
-    flip = grid.known & (rng.random(grid.cells.shape) < share)
-    return replace(grid, cells=np.where(flip, 100 - grid.cells, grid.cells).astype(np.int8))
-
-
-def jittered(grid: OccupancyGrid, rng: np.random.Generator) -> OccupancyGrid:
-    """Every wall cell moved by up to a cell; what it leaves is free."""
-    cells = np.where(grid.walls, 0, grid.cells).astype(np.int8)
-    rows, cols = np.nonzero(grid.walls)
-    rows = (rows + rng.integers(-1, 2, len(rows))).clip(0, grid.height - 1)
-    cols = (cols + rng.integers(-1, 2, len(cols))).clip(0, grid.width - 1)
-    cells[rows, cols] = 100
-    return replace(grid, cells=cells)
 
 
 def varied(pair: Pair, variant: str) -> Pair:
