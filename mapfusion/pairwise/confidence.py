@@ -25,18 +25,18 @@ PLAUSIBILITY = {
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
 CONFIDENCE = {
-    "bias": -32.937,
-    "net": 2.467,
-    "gain": 1.13,
-    "lines": 4.33,
-    "run": -0.362,
-    "crossing": -1.927,
-    "margin": 0.911,
-    "opposite": -6.035,
-    "overlap": 3.095,
-    "outside": 7.163,
-    "keypoints": 0.337,
-    "firm": 5.888,
+    "bias": -34.258,
+    "net": 2.726,
+    "gain": 1.09,
+    "lines": 4.199,
+    "run": -0.365,
+    "crossing": -1.966,
+    "margin": 0.882,
+    "opposite": -5.787,
+    "overlap": 2.97,
+    "outside": 7.337,
+    "keypoints": 0.302,
+    "firm": 8.174,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
 
