@@ -13,8 +13,8 @@ from mapfusion.grid import Cells, OccupancyGrid
 from mapfusion.transform import SE2
 
 BEND_EVERY_CELLS = 150
-MAX_BEND_CELLS = 8.0
-MAX_THINGS = 12
+MAX_BEND_SIGMA_CELLS = 8.0
+MAX_THINGS = 11
 
 
 def flipped(grid: OccupancyGrid, share: float, rng: np.random.Generator) -> OccupancyGrid:
@@ -51,7 +51,7 @@ def bent_copy(grid: OccupancyGrid, rng: np.random.Generator) -> tuple[OccupancyG
     """
     height, width = grid.cells.shape
     nodes = max(2, max(height, width) // BEND_EVERY_CELLS + 1) + 1
-    reach = rng.uniform(1.0, MAX_BEND_CELLS)
+    reach = rng.uniform(1.0, MAX_BEND_SIGMA_CELLS)
     bend_x, bend_y = (
         cv2.resize(
             rng.normal(size=(nodes, nodes)).astype(np.float32) * np.float32(reach),
@@ -79,7 +79,7 @@ def _refurnished(cells: Cells, rng: np.random.Generator) -> Cells:
     """Some round patches of wall gone, some boxes put in."""
     result = cells.copy()
     free = np.argwhere(cells == 0)
-    for _ in range(int(rng.integers(MAX_THINGS)) if len(free) else 0):
+    for _ in range(int(rng.integers(MAX_THINGS + 1)) if len(free) else 0):
         row, col = (int(v) for v in free[rng.integers(len(free))])
         patch = np.zeros(cells.shape, np.uint8)
         size = int(rng.integers(3, 14))

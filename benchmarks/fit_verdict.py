@@ -5,8 +5,8 @@
 PAIRS are folders of map pairs with truth (pairs.json with id, a, b, M, kp_a, kp_b, same_plan, and images). To the pairs
 themselves come views cut from them by half planes, the second one turned at random: of one place with overlap, of
 one place without (whatever is claimed there is wrong), and of different places; views of a map and of a bent copy of
-it; and pairs of both generators of `mapfusion evaluate`. Some of all but the pairs themselves are noisy. Buildings are
-held out whole, in turn, when the models are judged.
+it; and pairs of both generators of `mapfusion evaluate`. Nearly half of all these are noisy, and the folders' pairs of
+real and hand-held maps come once more with noise. Buildings are held out whole, in turn, when the models are judged.
 """
 
 from __future__ import annotations
@@ -151,9 +151,7 @@ def _points_m(grid: OccupancyGrid, points_px: Sequence[Sequence[float]]) -> Floa
 
 
 def views(pair: Pair, others: Sequence[Pair], number: int, rng: np.random.Generator) -> Iterator[Pair]:
-    """Views cut from a pair with known truth, and against a view of another place."""
-    if pair.T_a_b is None:
-        return
+    """Views cut from a pair of one place, and against a view of another one."""
     for _ in range(number):
         for kind, gap in (("overlapping views", None), ("views without overlap", rng.uniform(0.2, 1.5))):
             a, b = _halves(pair, gap, rng)
@@ -221,10 +219,10 @@ def turned(grid: OccupancyGrid, angle_rad: float) -> OccupancyGrid:
     return replace(grid, cells=cells.astype(np.int8), T_frame_grid=grid.T_frame_grid @ T_grid_turned)
 
 
-def simulated(number: int) -> Iterator[Pair]:
-    """Related and unrelated pairs of both generators."""
+def simulated(num_related: int, num_unrelated: int) -> Iterator[Pair]:
+    """Pairs of both generators."""
     for generator in ("paper", "floor-plans"):
-        for is_related in (True, False):
+        for is_related, number in ((True, num_related), (False, num_unrelated)):
             for seed in range(700_000, 700_000 + number):
                 made = make_pair(generator, is_related, seed)  # type: ignore[arg-type]
                 yield Pair(
@@ -366,7 +364,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--views", type=int, default=8, help="views cut from each pair with truth")
-    parser.add_argument("--simulated", type=int, default=100, help="pairs of each generator, related and unrelated")
+    parser.add_argument("--simulated", type=int, default=100, help="pairs of each generator that show one place")
+    parser.add_argument("--unrelated", type=int, default=300, help="pairs of each generator that show two")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
@@ -381,7 +380,9 @@ def main() -> None:
         for view in views(pair, of_one_place, args.views, rng)
     ]
     bent = [view for pair in of_one_place if pair.kind != "paper" for view in bent_views(pair, 2, rng)]
-    made = [with_noise(pair, rng) for pair in (*cut, *bent, *simulated(args.simulated))]
+    again = [pair for pair in whole if pair.kind not in ("paper", "lidar")]
+    of_generators = simulated(args.simulated, args.unrelated)
+    made = [with_noise(pair, rng) for pair in (*again, *cut, *bent, *of_generators)]
     with ProcessPoolExecutor(args.jobs) as executor:
         judged = list(executor.map(judge, [*whole, *made], chunksize=4))
     report([one for one in judged if one.figures])

@@ -51,12 +51,14 @@ MAX_OUTSIDE = 0.7
 MAX_MARGIN = 4.0
 """Plausibility over a rival's from which on it is none."""
 MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
-"""Less firmness than the first and more than the second tells no more."""
+"""Less firmness than the first and more than the second tells no more. With less than the first, maps that are not bent
+are not joined."""
 SMALL_OVERLAP, MAX_FIRMNESS_OF_LITTLE = 0.4, 0.2
 """Where maps share less than the first of the smaller one, more firmness than the second tells no more: the few things
 that stand alike in two places are firm as well."""
 KNOWN_KEYPOINTS, KNOWN_FIRMNESS = 2.5, MAX_FIRMNESS
-"""Taken for a transform that is only verified, whose keypoints and parts were looked at when it was found."""
+"""Taken for a transform that is only verified: its keypoints were counted when it was found, and its parts are looked
+at where they may decide."""
 
 
 def plausibility_terms(figures: Figures) -> dict[str, float]:

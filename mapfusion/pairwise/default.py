@@ -7,7 +7,16 @@ from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
 from mapfusion.pairwise.poses import Poses, from_se2, to_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.search import QUICK, THOROUGH, Finding, examine, propose, recheck, with_rivals_of
+from mapfusion.pairwise.search import (
+    QUICK,
+    THOROUGH,
+    Finding,
+    examine,
+    propose,
+    recheck,
+    with_firmness,
+    with_rivals_of,
+)
 from mapfusion.pairwise.voting import match
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
@@ -54,7 +63,7 @@ def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, confi
     """Refines and judges a transform that is known from before, without looking for another one.
 
     Whether a different one fits as well was settled when it was found: its margin is taken as
-    verdict.KNOWN_MARGIN.
+    verdict.KNOWN_MARGIN. Whether the parts stay is asked where the verdict may turn on it.
     """
     if target.key > source.key:
         return verify(source, target, T_target_source.inverse(), config).swapped()
@@ -63,7 +72,10 @@ def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, confi
         return refusal
     between_corners = target.grid.T_frame_grid.inverse() @ T_target_source @ source.grid.T_frame_grid
     known = from_se2(between_corners, target.grid.resolution_m)
-    return _judged(target, source, config, recheck(target, source, known))
+    found = recheck(target, source, known)
+    if verdict.may_turn_on_parts(found):
+        found = with_firmness(found, target, source)
+    return _judged(target, source, config, found)
 
 
 def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, finding: Finding) -> PairFusion:

@@ -1,7 +1,7 @@
 """Whether every part of a map, left to itself, stays where the pose of the whole puts it.
 
 A wrong pose is the best of many: some parts of the map lie well by chance, the others were carried along and would lie
-as well, or better, some cells away. Of a right pose nearly every part that is no bare corridor prefers where it is.
+as well, or better, some cells away. Of a right pose most parts that are no straight wall prefer where they are.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _one_way(there: PreparedMap, here: PreparedMap, pose: Poses) -> tuple[int, i
     x = (_SHIFTS[:, :1] + cells[0]).clip(0, width - 1)
     y = (_SHIFTS[:, 1:] + cells[1]).clip(0, height - 1)
     facing = surface.facing().take(chosen)
-    met = meetings(there.sketch.ravel().take(y * width + x), facing, np.full(len(_SHIFTS), pose[2]))
+    met = meetings(there.sketch.ravel().take(y * width + x), facing, pose[2:])
     sizes = np.array([len(part) for part in some])
     summed = np.add.reduceat(met, np.cumsum(sizes) - sizes, axis=1)
     lies_well = summed % CONTRADICTS // AGREES - summed // CONTRADICTS

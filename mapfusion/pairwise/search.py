@@ -88,8 +88,8 @@ class Candidate:
 
     Attributes:
         pose: (3,) of the source in the target, in cells.
-        figures: Its evidence, what the closer look found and what keypoints say, by name; of the best pose of a search
-            its firmness as well.
+        figures: Its evidence, what the closer look found and what keypoints say, by name; its firmness where parts were
+            looked at.
     """
 
     pose: Poses

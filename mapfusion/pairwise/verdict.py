@@ -147,12 +147,6 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             "what agrees is round: it fixes no rotation "
             f"(hold on the rotation {figures['turning']:.3f}, at least {MIN_TURNING} is needed)"
         )
-    if is_adrift(figures):
-        return "parts", (
-            "parts of the maps would lie as well some cells away: only those that hold "
-            f"{figures['firmness']:.0%} of the walls in the common area stay where the alignment puts them "
-            f"(at least {MIN_FIRMNESS:.0%} where walls agree within {figures['tolerance_cells']:g} cells); {agreement}"
-        )
     least_margin = SLIDING_MARGIN if figures["conditioning"] < SLIDING_CONDITIONING else MIN_MARGIN
     least_trust = least_confidence(figures)
     is_close = _margin(finding) < least_margin or trust < least_trust <= confidence(figures, MAX_MARGIN)
@@ -160,6 +154,12 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
             f"({_rival_ratio(finding):.2f} of the evidence); the best: {agreement}"
+        )
+    if is_adrift(figures):
+        return "parts", (
+            "parts of the maps would lie as well some cells away: only those that hold "
+            f"{figures['firmness']:.0%} of the walls in the common area stay where the alignment puts them "
+            f"(at least {MIN_FIRMNESS:.0%} where walls agree within {figures['tolerance_cells']:g} cells); {agreement}"
         )
     if trust < least_trust:
         return "confidence", (
@@ -196,6 +196,12 @@ def are_few_things(figures: Figures) -> bool:
     is_little = figures["mutual_ratio"] < SMALL_OVERLAP and figures["lines"] < FEW_LINES
     agree = figures["ratio"] >= MIN_RATIO_OF_FEW and not _is_loose(figures)
     return is_little and not agree and figures["net"] < MUCH_EVIDENCE
+
+
+def may_turn_on_parts(finding: Finding) -> bool:
+    """Whether a finding would not be sure enough if hardly any part stayed."""
+    figures = finding.best.figures | {"firmness": MIN_FIRMNESS}
+    return confidence(figures, _margin(finding)) < least_confidence(figures)
 
 
 def is_adrift(figures: Figures) -> bool:

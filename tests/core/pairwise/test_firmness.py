@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from mapfusion.grid import Cells
-from mapfusion.pairwise.firmness import firmness
+from mapfusion.pairwise.firmness import _parts, firmness
 from mapfusion.pairwise.poses import inverse
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from tests.fakes import flat, grid_of, rooms
@@ -47,18 +49,35 @@ def test_nothing_stays_where_maps_do_not_meet() -> None:
     assert firmness(place, place, np.array([1000.0, 0.0, 0.0])) == 0.0
 
 
-def test_few_walls_are_one_part() -> None:
-    corner = flat(60, 60, -1)
-    corner[20:40, 20:40] = 0
-    corner[20:40, 19] = corner[19, 20:34] = 100
-    small = prepared(corner)
-    assert small.num_walls < 48
-    assert firmness(small, small, AS_IT_IS) == 1.0
-
-
 def test_exchanging_the_maps_changes_nothing() -> None:
     one, other = prepared(rooms(seed=3)), prepared(rooms(seed=3)[40:, 30:])
     pose = np.array([30.0, 40.0, 0.0])
     there = firmness(one, other, pose)
     assert there > 0.5
     assert firmness(other, one, inverse(pose[None])[0]) == pytest.approx(there, abs=0.02)
+
+
+def test_a_turned_map_stays_as_well() -> None:
+    place = rooms(seed=3)
+    turned = prepared(np.ascontiguousarray(np.rot90(place, -1)))
+    pose = np.array([0.0, place.shape[0], -math.pi / 2.0])
+    assert firmness(prepared(place), turned, pose) > 0.6
+
+
+def test_half_a_map_that_was_carried_along_halves_it() -> None:
+    place = rooms(seed=3)
+    half = place.shape[1] // 2
+    moved = place.copy()
+    moved[:, half:] = np.roll(place[:, half:], 18, axis=0)
+    whole = firmness(prepared(place), prepared(place), AS_IT_IS)
+    assert firmness(prepared(place), prepared(moved), AS_IT_IS) == pytest.approx(whole / 2.0, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("num_walls", "num_parts"), [(11, 0), (12, 1), (23, 1), (24, 2), (191, 8), (192, 16), (5000, 16)]
+)
+def test_few_walls_are_fewer_parts(num_walls: int, num_parts: int) -> None:
+    points = np.random.default_rng(0).uniform(0.0, 100.0, (num_walls, 2)).astype(np.float32)
+    parts = _parts(points, np.arange(num_walls))
+    assert len(parts) == num_parts
+    assert sorted(np.concatenate([*parts, np.arange(0)])) == list(range(num_walls if num_parts else 0))

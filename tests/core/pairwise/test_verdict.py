@@ -9,9 +9,20 @@ import pytest
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
+from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
-from mapfusion.pairwise.verdict import MIN_CONFIDENCE, SURE, VERY_SURE, judge, least_confidence, too_little
+from mapfusion.pairwise.verdict import (
+    MIN_CONFIDENCE,
+    MORE_EVIDENCE,
+    SURE,
+    VERY_SURE,
+    judge,
+    least_confidence,
+    least_evidence,
+    may_turn_on_parts,
+    too_little,
+)
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 from tests.fakes import flat, grid_of, rooms
@@ -114,6 +125,15 @@ def test_walls_seen_from_the_other_side_ask_for_more_confidence() -> None:
     assert least_confidence(GOOD | {"opposite": 0.11, "contradiction": 0.3}) == VERY_SURE
 
 
+def test_many_loose_walls_that_contradict_each_other_need_evidence_or_to_be_sure() -> None:
+    loose = GOOD | {"net": 60.0, "tolerance_cells": 6.0}
+    contradicting = loose | {"contradiction": 0.3}
+    assert least_evidence(loose, 0.0) == MIN_EVIDENCE
+    assert least_evidence(contradicting, SURE - 0.01) == MORE_EVIDENCE
+    assert least_evidence(contradicting, SURE) == MIN_EVIDENCE
+    assert least_evidence(contradicting | {"mutual_ratio": 0.3}, 1.0) == MORE_EVIDENCE
+
+
 def test_many_walls_that_agree_loosely_only_join_no_maps_that_share_little(place: PreparedMap) -> None:
     little = {"net": 60.0, "rival_net": 5.0, "mutual_ratio": 0.3}
     assert judged(place, finding(**little)).accepted
@@ -133,6 +153,16 @@ def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: Prep
     assert judged(place, replace(finding(), rival=rival)).accepted
     assert judged(place, replace(finding(conditioning=0.1), rival=rival)).gate == "ambiguous"
     assert judged(place, finding(conditioning=0.1)).accepted
+
+
+def test_parts_are_looked_at_where_the_verdict_may_turn_on_them() -> None:
+    assert not may_turn_on_parts(finding(rival_net=None, lines=40.0, keypoints=5.0))
+    assert may_turn_on_parts(finding(rival_net=None, lines=10.0, keypoints=1.0, crossing=0.05, crossing_cells=30.0))
+
+
+def test_a_rival_is_named_though_parts_would_not_stay(place: PreparedMap) -> None:
+    alike = finding(firmness=0.0)
+    assert judged(place, replace(alike, rival=alike.best)).gate == "ambiguous"
 
 
 def test_parts_of_bent_maps_need_not_stay(place: PreparedMap) -> None:
