@@ -6,7 +6,15 @@ import numpy as np
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.confidence import MAX_MARGIN, MIN_FIRMNESS, SMALL_OVERLAP, Figures, confidence, margin
+from mapfusion.pairwise.confidence import (
+    MAX_FIRMNESS,
+    MAX_MARGIN,
+    MIN_FIRMNESS,
+    SMALL_OVERLAP,
+    Figures,
+    confidence,
+    margin,
+)
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
@@ -199,9 +207,12 @@ def are_few_things(figures: Figures) -> bool:
 
 
 def may_turn_on_parts(finding: Finding) -> bool:
-    """Whether a finding would not be sure enough if hardly any part stayed."""
-    figures = finding.best.figures | {"firmness": MIN_FIRMNESS}
-    return confidence(figures, _margin(finding)) < least_confidence(figures)
+    """Whether a finding would be sure enough if all parts stayed, and not if hardly any did."""
+    least, above_rival = least_confidence(finding.best.figures), _margin(finding)
+    worst, best = (
+        confidence(finding.best.figures | {"firmness": one}, above_rival) for one in (MIN_FIRMNESS, MAX_FIRMNESS)
+    )
+    return worst < least <= best
 
 
 def is_adrift(figures: Figures) -> bool:

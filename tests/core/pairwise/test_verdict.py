@@ -156,8 +156,10 @@ def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: Prep
 
 
 def test_parts_are_looked_at_where_the_verdict_may_turn_on_them() -> None:
+    worse = {"lines": 18.0, "keypoints": 1.0, "crossing": 0.05, "crossing_cells": 30.0}
     assert not may_turn_on_parts(finding(rival_net=None, lines=40.0, keypoints=5.0))
-    assert may_turn_on_parts(finding(rival_net=None, lines=10.0, keypoints=1.0, crossing=0.05, crossing_cells=30.0))
+    assert may_turn_on_parts(finding(rival_net=None, **worse))
+    assert not may_turn_on_parts(finding(rival_net=None, **worse | {"lines": 2.0}))
 
 
 def test_a_rival_is_named_though_parts_would_not_stay(place: PreparedMap) -> None:
