@@ -61,17 +61,17 @@ def bent_copy(grid: OccupancyGrid, rng: np.random.Generator) -> tuple[OccupancyG
         for _ in range(2)
     )
     rows, cols = np.mgrid[:height, :width].astype(np.float32)
+    furnished, border = _refurnished(grid.cells, rng), cv2.BORDER_CONSTANT
     cells = cv2.remap(
-        _refurnished(grid.cells, rng), cols + bend_x, rows + bend_y, cv2.INTER_NEAREST, borderMode=0, borderValue=-1
+        furnished, cols + bend_x, rows + bend_y, cv2.INTER_NEAREST, borderMode=border, borderValue=-1
     ).astype(np.int8)
     bent = replace(grid, cells=cells)
     at = np.nonzero(bent.known)
     if len(at[0]) < 100:
         return None
     here = bent.centres_m(bent.known)
-    yaw = grid.T_frame_grid.yaw_rad
-    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    there = here + np.stack([bend_x[at], bend_y[at]], -1).astype(np.float64) * grid.resolution_m @ turn.T
+    moved = np.stack([bend_x[at], bend_y[at]], -1).astype(np.float64) * grid.resolution_m
+    there = here + SE2(0.0, 0.0, grid.T_frame_grid.yaw_rad).apply(moved)
     return bent, _rigid(here, there)
 
 

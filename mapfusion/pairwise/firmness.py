@@ -59,8 +59,7 @@ def _one_way(there: PreparedMap, here: PreparedMap, pose: Poses) -> tuple[int, i
     height, width = there.sketch.shape
     x = (_SHIFTS[:, :1] + cells[0]).clip(0, width - 1)
     y = (_SHIFTS[:, 1:] + cells[1]).clip(0, height - 1)
-    facing = surface.facing().take(chosen)
-    met = meetings(there.sketch.ravel().take(y * width + x), facing, pose[2:])
+    met = meetings(there.sketch.ravel().take(y * width + x), surface.at(chosen).facing(), pose[2:])
     sizes = np.array([len(part) for part in some])
     summed = np.add.reduceat(met, np.cumsum(sizes) - sizes, axis=1)
     lies_well = summed % CONTRADICTS // AGREES - summed // CONTRADICTS
