@@ -53,9 +53,9 @@ MAX_MARGIN = 4.0
 MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
 """Less firmness than the first and more than the second tells no more. With less than the first, maps that are not bent
 are not joined."""
-SMALL_OVERLAP, MAX_FIRMNESS_OF_LITTLE = 0.4, 0.2
-"""Where maps share less than the first of the smaller one, more firmness than the second tells no more: the few things
-that stand alike in two places are firm as well."""
+LITTLE_OVERLAP, ENOUGH_OVERLAP, MAX_FIRMNESS_OF_LITTLE = 0.3, 0.5, 0.2
+"""Where maps share less than the first of the smaller one, more firmness than the third tells no more: the few things
+that stand alike in two places are firm as well. From the second on they need no such caution."""
 KNOWN_KEYPOINTS, KNOWN_FIRMNESS = 2.5, MAX_FIRMNESS
 """Taken for a transform that is only verified: its keypoints were counted when it was found, and its parts are looked
 at where they may decide."""
@@ -91,7 +91,8 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
     """What the confidence is made of; each term is held to the range in which it tells right from wrong."""
     # A run of wall across free space is to be seen against the size of what is compared.
     run = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
-    most_firmness = MAX_FIRMNESS_OF_LITTLE if figures["mutual_ratio"] < SMALL_OVERLAP else MAX_FIRMNESS
+    share_of_most = (figures["mutual_ratio"] - LITTLE_OVERLAP) / (ENOUGH_OVERLAP - LITTLE_OVERLAP)
+    most_firmness = MAX_FIRMNESS_OF_LITTLE + min(max(share_of_most, 0.0), 1.0) * (MAX_FIRMNESS - MAX_FIRMNESS_OF_LITTLE)
     return {
         "bias": 1.0,
         "net": _log(min(figures["net"], MAX_NET)),

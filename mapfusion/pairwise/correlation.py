@@ -22,8 +22,11 @@ from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats, Indices,
 
 Places = npt.NDArray[np.floating]
 
-MAX_SIZE = 216
-"""Edge of the correlated images, coarse cells."""
+MAX_SIZE = 160
+"""Longest edge of the correlated images, coarse cells."""
+MIN_UNWRAPPED = 0.4
+"""Images are as long as the longer map and this much of the shorter one: the correlation of two is circular, and poses
+with less overlap may fall together with others."""
 MIN_STRIDE = 3
 STEP_DEGREES = 3
 DIRECTION_SIGMA_DEGREES = 2.0
@@ -51,39 +54,61 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, first: 
     """
     rotations = likely_rotations(target.surface, source.surface)[first:last]
     there, here = target.surface.thinned(NUM_POINTS), source.surface.thinned(NUM_POINTS)
-    low, high = there.points.min(axis=0), there.points.max(axis=0)
     about = centre.astype(np.float32)
     arms, deep_arms = here.points - about, _deep(source) - about
-    reach = np.float32(np.linalg.norm(arms, axis=-1).max())
-    extent = float((high - low).max() + 2.0 * reach)
-    stride = np.float32(max(MIN_STRIDE, math.ceil(extent / (MAX_SIZE - 4))))
-    size = cv2.getOptimalDFTSize(math.ceil(extent / stride) + 4)
-
+    low, high = there.points.min(axis=0), there.points.max(axis=0)
+    arms_low, arms_high = arms.min(axis=0), arms.max(axis=0)
     deep = _deep(target)
     deep = deep[((deep >= low) & (deep <= high)).all(axis=1)]
-    deep_arms = deep_arms[np.square(deep_arms).sum(axis=1) <= reach**2]
+    deep_arms = deep_arms[((deep_arms >= arms_low) & (deep_arms <= arms_high)).all(axis=1)]
 
-    x, y, rim, free = _images((there.points - low) / stride, there.normals, (deep - low) / stride, size)
+    R = np.stack([np.cos(rotations), np.sin(rotations), -np.sin(rotations), np.cos(rotations)], -1)
+    R = R.reshape(-1, 2, 2).astype(np.float32)  # of row vectors
+    corners = np.array([[x, y] for x in (arms_low[0], arms_high[0]) for y in (arms_low[1], arms_high[1])]) @ R
+    starts, extents = corners.min(axis=1), np.ptp(corners, axis=1)
+    both = np.stack([high - low, extents.max(axis=0)])
+    edges = both.max(axis=0) + MIN_UNWRAPPED * both.min(axis=0)
+    stride = np.float32(max(MIN_STRIDE, math.ceil(edges.max() / (MAX_SIZE - 2))))
+    width, height = (cv2.getOptimalDFTSize(math.ceil(edge / stride) + 2) for edge in edges)
+    shape = height, width
+
+    x, y, rim, free = _images((there.points - low) / stride, there.normals, (deep - low) / stride, shape)
     # A wall that agrees brings as much as there is of the other map's walls in its coarse cell.
     of_cell = CONTRADICTION_WEIGHT * (MIN_STRIDE / stride) ** 2
-    free *= of_cell * _density(rim)
-    rim *= of_cell * _density(_image(np.bincount(_cells((arms + reach) / stride, size), minlength=size * size)))
+    free *= of_cell * _density((there.points - low) / stride)
+    rim *= of_cell * _density((arms - arms_low) / stride)
     blurred = [cv2.GaussianBlur(image, (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT) for image in (x, y)]
     of_target = [cv2.dft(image) for image in (*blurred, free, rim)]
-    peaks: list[tuple[float, int, int]] = []
-    for theta in rotations:
-        c, s = math.cos(theta), math.sin(theta)
-        R = np.array([[c, s], [-s, c]], np.float32)
-        images = _images((arms @ R + reach) / stride, here.normals @ R, (deep_arms @ R + reach) / stride, size)
+    peaks: list[tuple[int, int]] = []
+    for turn, start in zip(R, starts, strict=True):
+        images = _images(
+            (arms @ turn - start) / stride, here.normals @ turn, (deep_arms @ turn - start) / stride, shape
+        )
         of_source = [cv2.dft(image) for image in images]
         in_x, in_y, in_free, in_rim = map(_correlation, of_target, of_source)
         agreeing = in_x + in_y
         for spectrum in (agreeing, agreeing - in_free - in_rim):
-            peaks += [(theta, *peak) for peak in _peaks(cv2.dft(spectrum, flags=cv2.DFT_INVERSE))]
-    found = np.array(peaks)
-    # Beyond the target's far edge the circular correlation means a shift to the other side.
-    shift = found[:, 1:] - np.where(found[:, 1:] > (high - low) / stride + 1, size, 0)
-    return pose_from_centre(found[:, 0], shift * stride + reach + low, centre)
+            peaks += _peaks(cv2.dft(spectrum, flags=cv2.DFT_INVERSE))
+    each = len(peaks) // len(rotations)
+    shift = _unwrapped(np.array(peaks), (high - low) / stride, extents.repeat(each, axis=0) / stride, (width, height))
+    return pose_from_centre(rotations.repeat(each), shift * stride - starts.repeat(each, axis=0) + low, centre)
+
+
+def _unwrapped(peaks: Indices, extent: Places, extents: Places, size: tuple[int, int]) -> Places:
+    """The shifts (K, 2) that peaks (K, 2) of circular correlations stand for.
+
+    Along each axis a peak is that of two shifts, `size` apart; the maps overlap more by one of them.
+
+    Args:
+        peaks: x and y in [0, size).
+        extent: (2,) of the target.
+        extents: (K, 2) of the source.
+        size: Of the images.
+    """
+    either = np.stack([peaks, peaks - np.array(size)])
+    overlap = np.minimum(extent, either + extents) - np.maximum(either, 0)
+    shift: Places = np.where(overlap[0] >= overlap[1], either[0], either[1])
+    return shift
 
 
 def likely_rotations(target: Surface, source: Surface) -> npt.NDArray[np.float64]:
@@ -113,33 +138,35 @@ def _deep(field: SurfaceField) -> Points:
     return np.stack([cols, rows], axis=-1).astype(np.float32) * MIN_STRIDE + np.float32(MIN_STRIDE // 2 + 0.5)
 
 
-def _images(at: Places, normals: Floats, deep_at: Places, size: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """(size, size) images of the rim's normals in x and in y, of its points, and of the deep free cells."""
-    cells = _cells(at, size)
+def _images(
+    at: Places, normals: Floats, deep_at: Places, shape: tuple[int, int]
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Images of the rim's normals in x and in y, of its points, and of the deep free cells."""
+    cells = _cells(at, shape)
     return (
-        _image(np.bincount(cells, normals[:, 0], size * size)),
-        _image(np.bincount(cells, normals[:, 1], size * size)),
-        _image(np.bincount(cells, minlength=size * size)),
-        _image(np.bincount(_cells(deep_at, size), minlength=size * size)),
+        _image(cells, shape, normals[:, 0]),
+        _image(cells, shape, normals[:, 1]),
+        _image(cells, shape),
+        _image(_cells(deep_at, shape), shape),
     )
 
 
-def _cells(at: Places, size: int) -> Indices:
-    """(N,) flat index of the cell of an image of `size` in which each point (N, 2) lies."""
+def _cells(at: Places, shape: tuple[int, int]) -> Indices:
+    """(N,) flat index of the cell of an image in which each point (N, 2) lies."""
     cells = at.astype(np.int32)
-    flat: Indices = cells[:, 1] * size + cells[:, 0]
+    flat: Indices = cells[:, 1] * shape[1] + cells[:, 0]
     return flat
 
 
-def _image(values: npt.NDArray[np.number]) -> Floats:
-    """The values of all cells as a square image."""
-    size = math.isqrt(len(values))
-    return values.astype(np.float32).reshape(size, size)
+def _image(cells: Indices, shape: tuple[int, int], values: Floats | None = None) -> Floats:
+    """An image of the sums of the values in each cell, or of how many there are."""
+    return np.bincount(cells, values, shape[0] * shape[1]).astype(np.float32).reshape(shape)
 
 
-def _density(image: Floats) -> np.float32:
-    """Mean of what is not 0."""
-    return np.float32(image.sum() / max(1, np.count_nonzero(image)))
+def _density(at: Places) -> np.float32:
+    """How many of the points (N, 2) there are in a cell that has any."""
+    x, y = at.astype(np.int32).T
+    return np.float32(len(at) / len(np.unique(y * (x.max() + 1) + x)))
 
 
 def _correlation(one: cv2.typing.MatLike, other: cv2.typing.MatLike) -> Floats:

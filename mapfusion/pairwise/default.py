@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
 from mapfusion.pairwise.poses import Poses, from_se2, to_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import (
+    GLANCE,
     QUICK,
     THOROUGH,
     Finding,
+    are_vast,
     examine,
+    is_promising,
     propose,
     recheck,
     with_firmness,
@@ -23,8 +28,10 @@ from mapfusion.transform import SE2
 
 __all__ = ["PreparedMap", "fuse", "prepare", "verify"]
 
-SURE = 0.99
-"""A join that a quick search is less sure of than this must stand against the rivals that a thorough one finds."""
+SURE = 0.98
+"""A join that a search is less sure of than this must stand against the rivals that a more thorough one finds."""
+HOPELESS = 0.0015
+"""Where a quick search of maps that are not vast is less sure than this, a thorough one finds next to nothing."""
 
 
 def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thorough: bool = True) -> PairFusion:
@@ -45,12 +52,18 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     if refusal is not None:
         return refusal
     matches = match(target.features, source.features)
-    proposed = propose(target, source, matches, QUICK)
+    proposed = propose(target, source, matches, GLANCE)
+    if is_promising(target, source, proposed):
+        glance = _judged(target, source, config, examine(target, source, proposed, matches, GLANCE))
+        if glance.accepted and glance.confidence >= SURE:
+            return glance
+    proposed = np.concatenate([proposed, propose(target, source, matches, QUICK, before=GLANCE)])
     quickly = examine(target, source, proposed, matches, QUICK)
     quick = _judged(target, source, config, quickly)
-    if quick.confidence >= SURE if quick.accepted else not is_thorough:
+    is_hopeless = quick.confidence < HOPELESS and not are_vast(target, source)
+    if quick.confidence >= SURE if quick.accepted else is_hopeless or not is_thorough:
         return quick
-    proposed = propose(target, source, matches, THOROUGH, proposed)
+    proposed = np.concatenate([proposed, propose(target, source, matches, THOROUGH, before=QUICK)])
     thoroughly = examine(target, source, proposed, matches, THOROUGH)
     if quick.accepted:
         checked = _judged(target, source, config, with_rivals_of(quickly, thoroughly, target, source))

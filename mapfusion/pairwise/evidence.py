@@ -70,6 +70,10 @@ class Evidence:
         """The figures of one pose by name."""
         return {f.name: float(getattr(self, f.name)[index]) for f in fields(self)}
 
+    def joined(self, other: Evidence) -> Evidence:
+        """This evidence followed by that for other poses."""
+        return Evidence(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Direction:

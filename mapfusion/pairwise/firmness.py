@@ -6,19 +6,21 @@ as well, or better, some cells away. Of a right pose most parts that are no stra
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from mapfusion.pairwise.poses import Poses, inverse, moved
 from mapfusion.pairwise.prepared import PreparedMap
-from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, meetings
-from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, UNKNOWN, meetings
+from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Floats
 
 NUM_HALVINGS = 4
 """A map's walls are halved so often: 16 parts."""
 MIN_PART_POINTS = 12
 """Fewer walls are no part of their own: a map with few is halved less often."""
-POINTS_PER_PART = 48
+MAX_POINTS = 768
+"""About so many of a map's walls are looked at, spread evenly."""
 STEP_CELLS, MAX_SHIFT_CELLS = 4, 24
 """A part is tried on a lattice of shifts."""
 STAYS_CELLS, ELSEWHERE_CELLS = 8, 12
@@ -43,29 +45,36 @@ def firmness(target: PreparedMap, source: PreparedMap, pose: Poses) -> float:
     return float(stays / max(number, 1))
 
 
-def _one_way(there: PreparedMap, here: PreparedMap, pose: Poses) -> tuple[int, int]:
+def _one_way(there: PreparedMap, here: PreparedMap, pose: Poses) -> tuple[float, int]:
     """Walls of `here` whose part stays under `pose` in `there`, and all of its walls in the common area."""
     assert there.field is not None
     assert here.field is not None
     surface = here.field.surface
-    points = moved(pose[None], surface.points)
-    known = np.flatnonzero(there.field.depth.ravel().take(there.field.cells_below(points)[0]) != NOT_KNOWN)
-    parts = _parts(surface.points, known)
+    points = moved(pose[None], surface.points)[0]
+    cells = there.field.cells_below(points[None])[0]
+    known = np.flatnonzero(there.field.depth.ravel().take(cells) != NOT_KNOWN)
+    number = min(len(known), MAX_POINTS)
+    parts = _parts(surface.points, known[np.arange(number) * len(known) // max(number, 1)])
     if not parts:
-        return 0, len(known)
-    some = [part[np.arange(n) * len(part) // n] for part in parts for n in [min(len(part), POINTS_PER_PART)]]
-    chosen = np.concatenate(some)
-    cells = (points[0][:, chosen] + np.float32(FIELD_MARGIN)).astype(np.int32)
-    height, width = there.sketch.shape
-    x = (_SHIFTS[:, :1] + cells[0]).clip(0, width - 1)
-    y = (_SHIFTS[:, 1:] + cells[1]).clip(0, height - 1)
-    met = meetings(there.sketch.ravel().take(y * width + x), surface.at(chosen).facing(), pose[2:])
-    sizes = np.array([len(part) for part in some])
+        return 0.0, len(known)
+    chosen = np.concatenate(parts)
+    codes = _with_unknown_around(there.sketch)
+    width = codes.shape[1]
+    rows, columns = np.divmod(cells.take(chosen), there.sketch.shape[1])
+    at = (rows + MAX_SHIFT_CELLS) * width + columns + MAX_SHIFT_CELLS
+    lattice = at + (_SHIFTS[:, 1] * width + _SHIFTS[:, 0])[:, None]
+    met = meetings(codes.ravel().take(lattice), surface.at(chosen).facing(), pose[2:])
+    sizes = np.array([len(part) for part in parts])
     summed = np.add.reduceat(met, np.cumsum(sizes) - sizes, axis=1)
     lies_well = summed % CONTRADICTS // AGREES - summed // CONTRADICTS
     lead = lies_well[_LENGTH <= STAYS_CELLS].max(axis=0) - lies_well[_LENGTH >= ELSEWHERE_CELLS].max(axis=0)
     stays = lead > MIN_LEAD * sizes
-    return int(np.array([len(part) for part in parts])[stays].sum()), len(known)
+    return float(sizes[stays].sum() * len(known) / number), len(known)
+
+
+def _with_unknown_around(codes: Bytes) -> Bytes:
+    m = MAX_SHIFT_CELLS
+    return np.asarray(cv2.copyMakeBorder(codes, m, m, m, m, cv2.BORDER_CONSTANT, value=UNKNOWN), np.uint8)
 
 
 def _parts(points: Floats, chosen: npt.NDArray[np.intp]) -> list[npt.NDArray[np.intp]]:

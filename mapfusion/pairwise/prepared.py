@@ -21,6 +21,7 @@ from mapfusion.pairwise.surface import (
     SurfaceField,
     distance_to,
     extract_surface,
+    remove_pockets,
     remove_speckle,
     smooth_walls,
     surface_field,
@@ -95,8 +96,9 @@ def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
     rough_walls, clear = grid.walls, grid.free
     walls = remove_speckle(rough_walls)
     smooth = smooth_walls(walls, clear)
-    free = widen_free(smooth, clear | rough_walls)
-    known = grid.known | free
+    open_space = widen_free(smooth, clear | rough_walls)
+    known = grid.known | open_space
+    free = remove_pockets(open_space)
     surface = extract_surface(smooth, free)
     field = surface_field(surface, free, known) if len(surface) else None
     area, cells_per_area_sample = _raster(known)

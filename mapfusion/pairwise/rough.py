@@ -48,7 +48,7 @@ def best_distinct(target: PreparedMap, source: PreparedMap, poses: Poses, num_po
         num_points: About so many points of each map are used.
         count: How many poses to give.
     """
-    poses = poses[np.argsort(-_score(target, source, poses, num_points), kind="stable")]
+    poses = poses[np.argsort(-rough_score(target, source, poses, num_points), kind="stable")]
     return poses[distinct(poses, source.centre, SAME_CELLS, SAME_DEGREES, count)]
 
 
@@ -63,11 +63,11 @@ def best_nearby(target: PreparedMap, source: PreparedMap, poses: Poses, steps: S
     best = []
     for pose, at in zip(poses, centre_moved(poses, source.centre), strict=True):
         around = pose_from_centre(pose[2] + lattice[:, 2], at + lattice[:, :2], source.centre)
-        best.append(around[_score(target, source, around, steps.num_points).argmax()])
+        best.append(around[rough_score(target, source, around, steps.num_points).argmax()])
     return np.array(best)
 
 
-def _score(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int) -> Poses:
+def rough_score(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int) -> Poses:
     """(K,) net evidence of both directions, roughly."""
     return _one_way(target, source, poses, num_points) + _one_way(source, target, inverse(poses), num_points)
 

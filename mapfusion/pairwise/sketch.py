@@ -13,9 +13,10 @@ NEAR_CELLS = 6
 """A wall this near a wall seen from the same side agrees with it."""
 DEEP_CELLS = 3
 """A wall this deep in free space, and this far from any wall, contradicts the map."""
-_NOT_NEAR, _DEEP, _UNKNOWN = (np.uint8(code) for code in (31, 32, 64))
+_NOT_NEAR, _DEEP = np.uint8(31), np.uint8(32)
+UNKNOWN = 64
 NUM_CODES = 128
-"""A cell's code: the direction of the wall near it or _NOT_NEAR, and the flags _DEEP and _UNKNOWN."""
+"""A cell's code: the direction of the wall near it or _NOT_NEAR, and the flags _DEEP and UNKNOWN."""
 KNOWN, AGREES, CONTRADICTS = 1, 1 << 10, 1 << 20
 """What a wall meets, as digits that can be summed over fewer than 1024 walls."""
 
@@ -26,7 +27,7 @@ def sketch(field: SurfaceField) -> Bytes:
     codes: Bytes = bins.astype(np.uint8).take(field.nearest)
     codes |= (field.distance > NEAR_CELLS) * _NOT_NEAR
     codes |= ((field.distance > DEEP_CELLS) & (field.depth > DEEP_CELLS)) * _DEEP
-    codes |= (field.depth == NOT_KNOWN) * _UNKNOWN
+    codes |= (field.depth == NOT_KNOWN) * np.uint8(UNKNOWN)
     return codes
 
 
@@ -46,7 +47,7 @@ def _meetings() -> npt.NDArray[np.int32]:
     alike = np.cos((here - there) * (2.0 * np.pi / DIRECTION_BINS)) > SAME_SIDE_COSINE - 1e-6
     agrees = alike & (there != _NOT_NEAR)
     meets = KNOWN + agrees * AGREES + (codes & _DEEP > 0) * CONTRADICTS
-    return np.where(codes & _UNKNOWN > 0, 0, meets).astype(np.int32)
+    return np.where(codes & UNKNOWN > 0, 0, meets).astype(np.int32)
 
 
 _TURNED_MEETINGS = _meetings().take(np.arange(2 * DIRECTION_BINS + 1) + DIRECTION_BINS // 2, axis=0, mode="wrap")

@@ -20,6 +20,8 @@ Indices = npt.NDArray[np.int32]
 
 SPECKLE_CELLS = 5
 """Islands of wall of fewer cells are taken for noise."""
+POCKET_CELLS = 12
+"""Islands of free space of fewer cells are taken for noise."""
 NORMAL_SIGMA = 1.5
 """Blur of the wall image from whose gradient normals are taken, cells."""
 NOT_KNOWN = 255
@@ -106,6 +108,20 @@ def remove_speckle(walls: Mask) -> Mask:
         return walls
     kept = walls.copy()
     kept.ravel()[cells[is_speckle.take(islands)]] = False
+    return kept
+
+
+def remove_pockets(free: Mask) -> Mask:
+    """The free space without islands of fewer than POCKET_CELLS cells, which touch nothing but at their corners.
+
+    A noisy wall has free cells in and behind it. With their rims it would seem to be seen from both sides.
+    """
+    _, labels = cv2.connectedComponents(free.view(np.uint8), connectivity=4)
+    islands = np.asarray(labels, np.int32)
+    is_pocket = np.bincount(islands.ravel(), minlength=1) < POCKET_CELLS
+    if not is_pocket[1:].any():  # island 0 is what is not free
+        return free
+    kept: Mask = free & ~is_pocket.take(islands)
     return kept
 
 

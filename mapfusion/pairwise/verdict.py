@@ -10,7 +10,6 @@ from mapfusion.pairwise.confidence import (
     MAX_FIRMNESS,
     MAX_MARGIN,
     MIN_FIRMNESS,
-    SMALL_OVERLAP,
     Figures,
     confidence,
     margin,
@@ -36,6 +35,7 @@ KNOWN_MARGIN = 3.0
 MIN_CONFIDENCE = 0.84
 MIN_RATIO = 0.2
 """Least share of the walls in the common area that must agree, however few would by chance."""
+SMALL_OVERLAP = 0.4
 MORE_EVIDENCE = 70.0
 """Few walls, or walls that agree loosely only, need so much evidence where maps share less than SMALL_OVERLAP of the
 smaller one, as the less they share the more ways there are to share it, and where they contradict each other. So do few

@@ -82,8 +82,10 @@ def test_more_evidence_than_repetition_has_too_is_no_more_confidence() -> None:
 def test_where_maps_share_little_firmness_tells_less() -> None:
     firm, very_firm = {"firmness": 0.2}, {"firmness": 0.4}
     assert confidence(FIGURES | very_firm, 2.0) > confidence(FIGURES | firm, 2.0)
-    little = FIGURES | {"mutual_ratio": 0.39}
+    little, some, enough = (FIGURES | {"mutual_ratio": share} for share in (0.29, 0.4, 0.51))
     assert confidence(little | very_firm, 2.0) == confidence(little | firm, 2.0)
+    more, most = (confidence(one | very_firm, 2.0) - confidence(one | firm, 2.0) for one in (some, enough))
+    assert 0.0 < more < most
 
 
 def test_a_close_rival_takes_confidence() -> None:

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mapfusion.evaluation.pairs import make_pair
 from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION, correlate, likely_rotations
@@ -13,7 +15,7 @@ from mapfusion.pairwise.poses import differ, from_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.surface import SurfaceField
 from mapfusion.transform import SE2
-from tests.fakes import rooms, seen_from
+from tests.fakes import grid_of, rooms, seen_from
 
 T_A_B = SE2(20.0, 8.0, 2.0)
 
@@ -46,8 +48,32 @@ def test_likely_rotations_are_all_rotations_the_right_one_early() -> None:
 
 def test_rotations_can_be_tried_in_parts() -> None:
     target, source, prepared = fields()
-    first, rest = (correlate(target, source, prepared.centre, *part) for part in ((0, 3), (3, 8)))
-    np.testing.assert_array_equal(np.concatenate([first, rest]), correlate(target, source, prepared.centre, 0, 8))
+    first, rest, whole = (correlate(target, source, prepared.centre, *part) for part in ((0, 3), (3, 8), (0, 8)))
+    np.testing.assert_array_equal(np.concatenate([first, rest])[:, 2], whole[:, 2])
+
+
+@pytest.mark.parametrize("at", [(0, 260), (260, 0)])
+def test_ends_of_long_maps_are_told_apart_though_images_wrap_around(at: tuple[int, int]) -> None:
+    place = np.hstack([rooms(90, 130, seed) for seed in (1, 2, 3, 4, 5)])
+    a, b = (prepare(grid_of(place[:, start : start + 390]), 0.1) for start in at)
+    assert a.field is not None
+    assert b.field is not None
+    poses = correlate(a.field, b.field, b.centre, 0, 5)
+    truth = np.array([float(at[1] - at[0]), 0.0, 0.0])
+    assert not differ(truth[None], poses, b.centre, 6.0, 3.0).all()
+
+
+@settings(deadline=None, max_examples=25)
+@given(shapes=st.tuples(*[st.integers(3, 200)] * 4), seed=st.integers(0, 1000))
+def test_maps_of_any_shape_can_be_correlated(shapes: tuple[int, ...], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    maps = [
+        prepare(grid_of(rng.choice([100, 0, -1], shape).astype(np.int8)), 0.1) for shape in (shapes[:2], shapes[2:])
+    ]
+    if maps[0].field is not None and maps[1].field is not None:
+        poses = correlate(maps[0].field, maps[1].field, maps[1].centre, 0, 3)
+        assert len(poses) == 3 * 2 * PEAKS_PER_ROTATION
+        assert np.isfinite(poses).all()
 
 
 @pytest.mark.parametrize("seed", [52170, 61344, 61452])

@@ -12,7 +12,7 @@ from mapfusion.config import FusionConfig
 from mapfusion.evaluation.pairs import StudyPair, make_pair
 from mapfusion.grid import Cells, OccupancyGrid
 from mapfusion.pairwise import search
-from mapfusion.pairwise.default import PreparedMap, fuse, prepare, verify
+from mapfusion.pairwise.default import HOPELESS, PreparedMap, fuse, prepare, verify
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 from tests.fakes import flat, grid_of, rooms, seen_from
@@ -66,12 +66,31 @@ def off_m(pair: StudyPair, result: PairFusion) -> float:
 
 
 def test_a_thorough_search_finds_what_a_quick_one_misses() -> None:
-    pair = make_pair("paper", True, 900210)
+    pair = make_pair("floor-plans", True, 95000341)
     maps = prepare(pair.target, 0.05), prepare(pair.source, 0.05)
     assert not fuse(*maps, FusionConfig(), is_thorough=False).accepted
     result = fuse(*maps, FusionConfig())
     assert result.accepted, result.reason
     assert off_m(pair, result) < 0.1
+
+
+def fail(*_: object) -> None:
+    raise AssertionError("was not to be called")
+
+
+def test_what_keypoints_alone_make_sure_of_is_not_looked_for_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    pair = make_pair("paper", True, 900201)
+    monkeypatch.setattr(search, "correlate", fail)
+    result = fuse(prepare(pair.target, 0.05), prepare(pair.source, 0.05), FusionConfig())
+    assert result.accepted, result.reason
+    assert off_m(pair, result) < 0.05
+
+
+def test_hopeless_pairs_are_not_searched_thoroughly(monkeypatch: pytest.MonkeyPatch) -> None:
+    pair = make_pair("paper", False, 900201)
+    monkeypatch.setattr(search, "best_nearby", fail)
+    result = fuse(prepare(pair.target, 0.05), prepare(pair.source, 0.05), FusionConfig())
+    assert result.confidence < HOPELESS
 
 
 def cluttered_building(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, SE2]:

@@ -38,6 +38,15 @@ def test_a_map_agrees_with_itself_where_it_lies_and_nowhere_else() -> None:
     assert (evidence.contradiction[1:] > 0.3).all()
 
 
+def test_evidence_of_poses_can_be_joined() -> None:
+    place = rooms(seed=3)
+    poses = (0.0, 0.0, 0.0), (25.0, 0.0, 0.0), (0.0, 20.0, 0.3)
+    joined = weighed(place, place, *poses[:1]).joined(weighed(place, place, *poses[1:]))
+    whole = weighed(place, place, *poses)
+    for k in range(3):
+        assert joined.of(k) == pytest.approx(whole.of(k))
+
+
 def test_rooms_back_to_back_at_one_wall_do_not_agree() -> None:
     room = flat(100, 200, -1)
     room[20:, :] = 0

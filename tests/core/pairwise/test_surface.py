@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mapfusion.grid import Mask
+from mapfusion.pairwise.prepared import prepare
 from mapfusion.pairwise.surface import (
     FIELD_MARGIN,
     MAX_DEPTH,
@@ -14,11 +15,13 @@ from mapfusion.pairwise.surface import (
     SPECKLE_CELLS,
     distance_to,
     extract_surface,
+    remove_pockets,
     remove_speckle,
     smooth_walls,
     surface_field,
     widen_free,
 )
+from tests.fakes import grid_of
 
 
 def mask(*rows: str) -> Mask:
@@ -58,6 +61,33 @@ def test_specks_go_and_walls_stay() -> None:
     with_noise = walls.copy()
     with_noise[25, 20 : 20 + SPECKLE_CELLS - 1] = True
     np.testing.assert_array_equal(remove_speckle(with_noise), walls)
+
+
+def test_pockets_of_free_space_go_and_passages_stay() -> None:
+    open_space = np.zeros((30, 30), np.bool_)
+    open_space[2:12, 2:28] = True
+    open_space[12:25, 5] = True  # a passage of one cell
+    with_noise = open_space.copy()
+    with_noise[[15, 15, 16, 17, 18], [20, 21, 20, 19, 18]] = True
+    with_noise[12, 28] = True  # touches the open space at a corner only
+    np.testing.assert_array_equal(remove_pockets(with_noise), open_space)
+    with_room = open_space.copy()
+    with_room[15:18, 20:24] = True
+    np.testing.assert_array_equal(remove_pockets(with_room), with_room)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_noisy_wall_is_seen_from_where_it_was_seen_only(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = np.zeros((60, 200), np.int8)
+    cells[36:] = -1
+    walls = rng.integers(-1, 2, (2, 6, 200)) + np.mgrid[30:36, 0:200]  # each cell moved by up to one
+    cells[30:36] = 0
+    cells[walls[0], walls[1].clip(0, 199)] = 100
+    prepared = prepare(grid_of(cells), 0.1)
+    assert prepared.field is not None
+    assert (prepared.field.surface.points[:, 1] <= 31.5).all()
+    assert (prepared.field.surface.normals[:, 1] < 0.0).all()
 
 
 def test_pores_of_a_wall_are_filled() -> None:
