@@ -11,6 +11,11 @@ four corners by no more than 5 pixels, on average, from where they belong.
 What it takes to fuse two new maps, to verify a known transform between two new ones, and between a new one and one that
 was looked at before, against the published steps on the same maps: pairs of the paper's generator, and of simulated
 lidar robots.
+
+    python benchmarks/published.py --sets PAIRS...
+
+What it takes to fuse the pairs of folders, as `fit_verdict.py` reads them, against the published steps: those that are
+joined, those that are refused though they show one place, and those that show two.
 """
 
 from __future__ import annotations
@@ -18,16 +23,19 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, count, islice
+from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from fit_verdict import read_pairs
 
 from mapfusion.config import FusionConfig
-from mapfusion.fusion import PairFuser
+from mapfusion.fusion import PairFuser, fuse_pair
 from mapfusion.grid import OccupancyGrid
 from mapfusion.pairwise import paper
 from mapfusion.simulation.events import mission_events
@@ -138,7 +146,14 @@ def main() -> None:
     parser.add_argument("--negatives", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0, help="seed of the first pair of each kind")
     parser.add_argument("--times", type=int, default=0, help="pairs of each kind to time instead of the table")
+    parser.add_argument(
+        "--sets", type=Path, nargs="*", default=[], help="folders of pairs to time instead of the table"
+    )
     args = parser.parse_args()
+    if args.sets:
+        for folder in args.sets:
+            print_times_of(folder)
+        return
     if args.times:
         print_times(args.times, args.seed)
         return
@@ -191,6 +206,30 @@ def print_times(num_pairs: int, seed: int) -> None:
             f"{name}: published steps {steps:.1f} ms; fusing two new maps {fusing:.1f} ms "
             f"({fusing / steps:.2f} times), verifying two new maps {both_new:.1f} ms ({both_new / steps:.2f} "
             f"times), a new one and a known one {one_new:.1f} ms ({one_new / steps:.2f} times)"
+        )
+
+
+def print_times_of(folder: Path) -> None:
+    """CPU time of fusing the pairs of a folder beside that of the published steps, the better of two."""
+    cv2.setNumThreads(1)
+    times: dict[str, list[FloatArray]] = defaultdict(list)
+    for pair in read_pairs(folder):
+        best = np.full(2, math.inf)
+        accepted = False
+        for _ in range(2):
+            started_s = time.process_time()
+            published(picture(pair.a), picture(pair.b))
+            steps_s = time.process_time()
+            accepted = fuse_pair(pair.a, pair.b).accepted
+            best = np.minimum(best, [steps_s - started_s, time.process_time() - steps_s])
+        of_one_place = "joined" if accepted else "of one place, refused"
+        times["of two places" if pair.T_a_b is None else of_one_place].append(best)
+    everything = [one for some in times.values() for one in some]
+    for kind, some in (*times.items(), ("all", everything)):
+        steps, fusing = 1e3 * np.mean(some, axis=0)
+        print(
+            f"{folder.name}, {kind}: {len(some)} pairs, published steps {steps:.1f} ms, fusing {fusing:.1f} ms "
+            f"({fusing / steps:.2f} times)"
         )
 
 

@@ -13,6 +13,7 @@ from mapfusion.pairwise.confidence import (
     Figures,
     confidence,
     margin,
+    rigidity,
 )
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
@@ -43,7 +44,7 @@ walls that agree loosely, which leave the pose loose."""
 SURE = 0.92
 """Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
 Maps that share little and contradict each other too need it."""
-SOME_OPPOSITE, VERY_SURE = 0.1, 0.95
+SOME_OPPOSITE, VERY_SURE = 0.08, 0.95
 """From this share of walls that lie on walls seen from the other side on, so much confidence is needed: either the maps
 are so noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
 FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
@@ -184,6 +185,7 @@ def least_evidence(figures: Figures, trust: float) -> float:
     """The net evidence that a pose with these figures and this confidence needs."""
     is_few, is_loose, doubts = figures["lines"] < FEW_LINES, _is_loose(figures), _doubts(figures)
     is_sure = not is_few and (not is_loose or (trust >= SURE and not doubts[0]))
+    is_sure |= rigidity(figures) >= 1.0
     return MORE_EVIDENCE if (is_few and is_loose) or (any(doubts) and not is_sure) else MIN_EVIDENCE
 
 
@@ -208,11 +210,15 @@ def are_few_things(figures: Figures) -> bool:
 
 def may_turn_on_parts(finding: Finding) -> bool:
     """Whether a finding would be sure enough if all parts stayed, and not if hardly any did."""
-    least, above_rival = least_confidence(finding.best.figures), _margin(finding)
-    worst, best = (
-        confidence(finding.best.figures | {"firmness": one}, above_rival) for one in (MIN_FIRMNESS, MAX_FIRMNESS)
-    )
-    return worst < least <= best
+    worst, best = (_is_enough(finding, {"firmness": one}) for one in (MIN_FIRMNESS, MAX_FIRMNESS))
+    return best and not worst
+
+
+def _is_enough(finding: Finding, supposed: Figures) -> bool:
+    """Whether evidence and confidence would suffice if the best pose had the supposed figures."""
+    figures = {**finding.best.figures, **supposed}
+    trust = confidence(figures, _margin(finding))
+    return trust >= least_confidence(figures) and figures["net"] >= least_evidence(figures, trust)
 
 
 def is_adrift(figures: Figures) -> bool:

@@ -16,10 +16,12 @@ from mapfusion.pairwise.confidence import (
     margin,
     plausibility,
     plausibility_terms,
+    rigidity,
 )
 
 FIGURES = {
     "net": 25.0,
+    "tolerance_cells": 3.0,
     "ratio": 0.8,
     "chance": 0.1,
     "lines": 15.0,
@@ -77,6 +79,15 @@ def test_confidence_grows_with_what_speaks_for_a_pose(better: dict[str, float]) 
 
 def test_more_evidence_than_repetition_has_too_is_no_more_confidence() -> None:
     assert confidence(FIGURES | {"net": MAX_NET}, 2.0) == confidence(FIGURES | {"net": 30.0 * MAX_NET}, 2.0)
+
+
+def test_many_tight_walls_whose_parts_stay_are_those_of_one_rigid_place() -> None:
+    rigid = FIGURES | {"tolerance_cells": 1.5, "firmness": 0.4, "lines": 6.0}
+    assert rigidity(rigid) == 1.0
+    assert rigidity(rigid | {"firmness": 0.375}) == pytest.approx(0.5)
+    for less in ({"firmness": 0.34}, {"tolerance_cells": 3.0}, {"lines": 5.9}):
+        assert rigidity(rigid | less) == 0.0
+        assert confidence(rigid, 1.0) > confidence(rigid | less, 1.0)
 
 
 def test_where_maps_share_little_firmness_tells_less() -> None:
