@@ -39,7 +39,8 @@ CONFIDENCE = {
     "firm": 8.174,
     "rigid": 4.0,
 }
-"""Weights of the logistic model of how probable it is that the best alignment of a pair is right."""
+"""Weights of the logistic model of how probable it is that the best alignment of a pair is right. That of `rigid` is
+half of what is fitted: hardly any wrong alignment holds it down."""
 
 MAX_NET, MAX_RANKED_NET = 30.0, 100.0
 """More evidence than this tells no more, of a pose alone and of two: what repeats itself has it too."""
@@ -57,9 +58,9 @@ are not joined."""
 LITTLE_OVERLAP, ENOUGH_OVERLAP, MAX_FIRMNESS_OF_LITTLE = 0.3, 0.5, 0.2
 """Where maps share less than the first of the smaller one, more firmness than the third tells no more: the few things
 that stand alike in two places are firm as well. From the second on they need no such caution."""
-RIGID_TOLERANCE_CELLS, RIGID_LINES, LEAST_RIGID, MOST_RIGID = 1.5, 6.0, 0.35, 0.4
-"""Walls that agree within the first, along at least the second, of which the third to the fourth belong to parts that
-stay, agree as those of one rigid place do."""
+RIGID_TOLERANCE_CELLS, RIGID_LINES, RIGID_RATIO, LEAST_RIGID, MOST_RIGID = 1.5, 6.0, 0.5, 0.35, 0.4
+"""Walls that agree within the first, along at least the second, and at least the third of them all, of which the fourth
+to the fifth belong to parts that stay, agree as those of one rigid place do."""
 KNOWN_KEYPOINTS, KNOWN_FIRMNESS = 2.5, MAX_FIRMNESS
 """Taken for a transform that is only verified: its keypoints were counted when it was found, and its parts are looked
 at where they may decide."""
@@ -117,9 +118,10 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
 def rigidity(figures: Figures) -> float:
     """How surely a pose with these figures puts one rigid place onto itself, in [0, 1].
 
-    Hardly any wrong pose has all three at once: many walls, each of them within a cell or so, and parts that stay.
+    Hardly any wrong pose has all at once: most of many walls agree, within a cell or so, and parts stay.
     """
-    if figures["tolerance_cells"] > RIGID_TOLERANCE_CELLS or figures["lines"] < RIGID_LINES:
+    is_tight = figures["tolerance_cells"] <= RIGID_TOLERANCE_CELLS and figures["ratio"] >= RIGID_RATIO
+    if not is_tight or figures["lines"] < RIGID_LINES:
         return 0.0
     above = (figures.get("firmness", KNOWN_FIRMNESS) - LEAST_RIGID) / (MOST_RIGID - LEAST_RIGID)
     return min(max(above, 0.0), 1.0)
