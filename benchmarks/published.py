@@ -225,6 +225,8 @@ def print_times_of(folder: Path) -> None:
         of_one_place = "joined" if accepted else "of one place, refused"
         times["of two places" if pair.T_a_b is None else of_one_place].append(best)
     everything = [one for some in times.values() for one in some]
+    if not everything:
+        raise SystemExit(f"{folder} has no pairs")
     for kind, some in (*times.items(), ("all", everything)):
         steps, fusing = 1e3 * np.mean(some, axis=0)
         print(

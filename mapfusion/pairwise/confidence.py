@@ -118,12 +118,13 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
 def rigidity(figures: Figures) -> float:
     """How surely a pose with these figures puts one rigid place onto itself, in [0, 1].
 
-    Hardly any wrong pose has all at once: most of many walls agree, within a cell or so, and parts stay.
+    Hardly any wrong pose has all at once: most of many walls agree, within a cell or so, and parts stay. Where parts
+    were not looked at it is 0.
     """
     is_tight = figures["tolerance_cells"] <= RIGID_TOLERANCE_CELLS and figures["ratio"] >= RIGID_RATIO
     if not is_tight or figures["lines"] < RIGID_LINES:
         return 0.0
-    above = (figures.get("firmness", KNOWN_FIRMNESS) - LEAST_RIGID) / (MOST_RIGID - LEAST_RIGID)
+    above = (figures.get("firmness", 0.0) - LEAST_RIGID) / (MOST_RIGID - LEAST_RIGID)
     return min(max(above, 0.0), 1.0)
 
 

@@ -12,6 +12,7 @@ Sources: orientation correlation, Fitch et al., BMVC 2002; the Hough spectrum, C
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import cv2
 import numpy as np
@@ -24,9 +25,10 @@ Places = npt.NDArray[np.floating]
 
 MAX_SIZE = 160
 """Longest edge of the correlated images, coarse cells."""
-MIN_UNWRAPPED = 0.4
-"""Images are as long as the longer map and this much of the shorter one: the correlation of two is circular, and poses
-with less overlap may fall together with others."""
+MIN_UNWRAPPED, LEAST_OVERLAP = 0.4, 0.1
+"""Images are as long as the longer map and the first of the shorter one: the correlation of two is circular, and shifts
+by which less than the rest of it overlaps fall together with others. Those by which less overlaps than the second are
+taken for the others."""
 MIN_STRIDE = 3
 STEP_DEGREES = 3
 DIRECTION_SIGMA_DEGREES = 2.0
@@ -50,7 +52,7 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, first: 
         last: Number of the one before which to stop.
 
     Returns:
-        Poses (K, 3) of the source in the target, in cells; 2 PEAKS_PER_ROTATION a rotation.
+        Poses (K, 3) of the source in the target, in cells; at least 2 PEAKS_PER_ROTATION a rotation.
     """
     rotations = likely_rotations(target.surface, source.surface)[first:last]
     there, here = target.surface.thinned(NUM_POINTS), source.surface.thinned(NUM_POINTS)
@@ -81,23 +83,26 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, first: 
     of_target = [cv2.dft(image) for image in (*blurred, free, rim)]
     peaks: list[tuple[int, int]] = []
     for turn, start in zip(R, starts, strict=True):
-        images = _images(
-            (arms @ turn - start) / stride, here.normals @ turn, (deep_arms @ turn - start) / stride, shape
-        )
+        at, deep_at = ((each @ turn - start) / stride for each in (arms, deep_arms))
+        images = _images(at, here.normals @ turn, deep_at, shape)
         of_source = [cv2.dft(image) for image in images]
         in_x, in_y, in_free, in_rim = map(_correlation, of_target, of_source)
         agreeing = in_x + in_y
         for spectrum in (agreeing, agreeing - in_free - in_rim):
-            peaks += _peaks(cv2.dft(spectrum, flags=cv2.DFT_INVERSE))
-    each = len(peaks) // len(rotations)
-    shift = _unwrapped(np.array(peaks), (high - low) / stride, extents.repeat(each, axis=0) / stride, (width, height))
-    return pose_from_centre(rotations.repeat(each), shift * stride - starts.repeat(each, axis=0) + low, centre)
+            peaks += _peaks(np.asarray(cv2.dft(spectrum, flags=cv2.DFT_INVERSE), np.float32))
+    turned = np.arange(len(rotations)).repeat(len(peaks) // len(rotations))
+    of_peak, shift = _unwrapped(np.array(peaks), (high - low) / stride, extents[turned] / stride, (width, height))
+    turned = turned[of_peak]
+    return pose_from_centre(rotations[turned], shift * stride - starts[turned] + low, centre)
 
 
-def _unwrapped(peaks: Indices, extent: Places, extents: Places, size: tuple[int, int]) -> Places:
-    """The shifts (K, 2) that peaks (K, 2) of circular correlations stand for.
+def _unwrapped(
+    peaks: Indices, extent: Places, extents: Places, size: tuple[int, int]
+) -> tuple[npt.NDArray[np.intp], Indices]:
+    """The shifts (M, 2) that peaks (K, 2) of circular correlations may stand for; before them, each one's peak (M,).
 
-    Along each axis a peak is that of two shifts, `size` apart; the maps overlap more by one of them.
+    Along each axis a peak is that of two shifts, `size` apart. Where the maps overlap by little but not by nothing for
+    the one as for the other, either may be meant.
 
     Args:
         peaks: x and y in [0, size).
@@ -107,8 +112,14 @@ def _unwrapped(peaks: Indices, extent: Places, extents: Places, size: tuple[int,
     """
     either = np.stack([peaks, peaks - np.array(size)])
     overlap = np.minimum(extent, either + extents) - np.maximum(either, 0)
-    shift: Places = np.where(overlap[0] >= overlap[1], either[0], either[1])
-    return shift
+    may_be = (overlap >= overlap.max(axis=0)) | (overlap >= LEAST_OVERLAP * np.minimum(extent, extents))
+    of_peak, shifts = [], []
+    for x, y in product((0, 1), repeat=2):
+        meant = np.flatnonzero(may_be[x, :, 0] & may_be[y, :, 1])
+        of_peak.append(meant)
+        shifts.append(np.stack([either[x, meant, 0], either[y, meant, 1]], axis=-1))
+    order = np.argsort(np.concatenate(of_peak), kind="stable")
+    return np.concatenate(of_peak)[order], np.concatenate(shifts)[order]
 
 
 def likely_rotations(target: Surface, source: Surface) -> npt.NDArray[np.float64]:
@@ -174,12 +185,13 @@ def _correlation(one: cv2.typing.MatLike, other: cv2.typing.MatLike) -> Floats:
     return np.asarray(cv2.mulSpectrums(one, other, 0, conjB=True), np.float32)
 
 
-def _peaks(score: cv2.typing.MatLike) -> list[tuple[int, int]]:
-    """Column and row of the highest values, none within PEAK_RADIUS of a higher one."""
+def _peaks(score: Floats) -> list[tuple[int, int]]:
+    """Column and row of the highest values, none within PEAK_RADIUS of a higher one; the score wraps around."""
+    height, width = score.shape
+    around = np.arange(-PEAK_RADIUS, PEAK_RADIUS + 1)
     found = []
     for _ in range(PEAKS_PER_ROTATION):
         _, _, _, (x, y) = cv2.minMaxLoc(score)
         found.append((x, y))
-        rows = slice(max(0, y - PEAK_RADIUS), y + PEAK_RADIUS + 1)
-        score[rows, max(0, x - PEAK_RADIUS) : x + PEAK_RADIUS + 1] = -np.inf
+        score[((y + around) % height)[:, None], (x + around) % width] = -np.inf
     return found

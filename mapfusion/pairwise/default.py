@@ -28,7 +28,7 @@ from mapfusion.transform import SE2
 
 __all__ = ["PreparedMap", "fuse", "prepare", "verify"]
 
-SURE = 0.98
+SETTLED = 0.98
 """A join that a search is less sure of than this must stand against the rivals that a more thorough one finds."""
 HOPELESS = 0.0015
 """Where a quick search of maps that are not vast is less sure than this, a thorough one finds next to nothing."""
@@ -55,13 +55,14 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     proposed = propose(target, source, matches, GLANCE)
     if is_promising(target, source, proposed):
         glance = _judged(target, source, config, examine(target, source, proposed, matches, GLANCE))
-        if glance.accepted and glance.confidence >= SURE:
+        if glance.accepted and glance.confidence >= SETTLED:
             return glance
     proposed = np.concatenate([proposed, propose(target, source, matches, QUICK, before=GLANCE)])
     quickly = examine(target, source, proposed, matches, QUICK)
     quick = _judged(target, source, config, quickly)
     is_hopeless = quick.confidence < HOPELESS and not are_vast(target, source)
-    if quick.confidence >= SURE if quick.accepted else is_hopeless or not is_thorough:
+    is_settled = quick.confidence >= SETTLED if quick.accepted else is_hopeless or not is_thorough
+    if is_settled:
         return quick
     proposed = np.concatenate([proposed, propose(target, source, matches, THOROUGH, before=QUICK)])
     thoroughly = examine(target, source, proposed, matches, THOROUGH)
@@ -69,7 +70,7 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
         checked = _judged(target, source, config, with_rivals_of(quickly, thoroughly, target, source))
         if checked.accepted:
             return checked
-    return _judged(target, source, config, thoroughly)
+    return _judged(target, source, config, with_rivals_of(thoroughly, quickly, target, source))
 
 
 def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, config: FusionConfig) -> PairFusion:

@@ -50,8 +50,7 @@ def _one_way(there: PreparedMap, here: PreparedMap, pose: Poses) -> tuple[float,
     assert there.field is not None
     assert here.field is not None
     surface = here.field.surface
-    points = moved(pose[None], surface.points)[0]
-    cells = there.field.cells_below(points[None])[0]
+    cells = there.field.cells_below(moved(pose[None], surface.points))[0]
     known = np.flatnonzero(there.field.depth.ravel().take(cells) != NOT_KNOWN)
     number = min(len(known), MAX_POINTS)
     parts = _parts(surface.points, known[np.arange(number) * len(known) // max(number, 1)])

@@ -101,7 +101,7 @@ class Candidate:
     Attributes:
         pose: (3,) of the source in the target, in cells.
         figures: Its evidence, what the closer look found and what keypoints say, by name; its firmness where parts were
-            looked at.
+            looked at, or 0 where that was not worth it.
     """
 
     pose: Poses
@@ -150,7 +150,8 @@ def propose(
     last = QUICK.num_rotations if is_coarsened else effort.num_rotations
     proposed = [np.zeros((0, 3))]
     if before is None or before.num_voted < effort.num_voted:
-        proposed.append(vote(target.features, source.features, matches, source.centre, effort.num_voted))
+        voted = vote(target.features, source.features, matches, source.centre, effort.num_voted)
+        proposed.append(voted[0 if before is None else before.num_voted :])
     if first < last:
         proposed.append(correlate(target.field, source.field, source.centre, first, last))
     if is_coarsened:
@@ -232,7 +233,7 @@ def with_rivals_of(finding: Finding, other: Finding, target: PreparedMap, source
 
 
 def with_firmness(finding: Finding, target: PreparedMap, source: PreparedMap) -> Finding:
-    """The finding with the firmness of its best pose among its figures: none where there is too little evidence."""
+    """The finding with the firmness of its best pose among its figures; 0 where there is too little evidence."""
     best = finding.best
     is_worth = best.figures["net"] >= MIN_EVIDENCE
     figures = best.figures | {"firmness": firmness(target, source, best.pose) if is_worth else 0.0}

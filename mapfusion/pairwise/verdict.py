@@ -37,10 +37,11 @@ MIN_CONFIDENCE = 0.84
 MIN_RATIO = 0.2
 """Least share of the walls in the common area that must agree, however few would by chance."""
 SMALL_OVERLAP = 0.4
+"""Maps that share less than this of the smaller one share little."""
 MORE_EVIDENCE = 70.0
 """Few walls, or walls that agree loosely only, need so much evidence where maps share less than SMALL_OVERLAP of the
 smaller one, as the less they share the more ways there are to share it, and where they contradict each other. So do few
-walls that agree loosely, which leave the pose loose."""
+walls that agree loosely, which leave the pose loose. A rigid place needs no more."""
 SURE = 0.92
 """Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
 Maps that share little and contradict each other too need it."""

@@ -119,7 +119,8 @@ def test_large_maps_are_searched_at_coarser_resolutions_as_well(monkeypatch: pyt
     middle_m = b.centres_m(b.known).mean(axis=0)
     assert result.T_target_source is not None
     assert np.linalg.norm(result.T_target_source.apply(middle_m) - T_a_b.apply(middle_m)) < 0.025
-    monkeypatch.setattr(search, "LARGE_CELLS", 10_000)
+    assert fuse(*maps, FusionConfig(), is_thorough=False).confidence < HOPELESS  # vast maps are searched all the same
+    monkeypatch.setattr(search, "_can_be_coarsened", lambda *_: False)
     assert not fuse(*maps, FusionConfig()).accepted
 
 
