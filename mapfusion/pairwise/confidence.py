@@ -37,10 +37,10 @@ CONFIDENCE = {
     "outside": 7.337,
     "keypoints": 0.302,
     "firm": 8.174,
-    "rigid": 4.0,
+    "rigid": 2.0,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right. That of `rigid` is
-half of what is fitted: hardly any wrong alignment holds it down."""
+a quarter of what is fitted: hardly any wrong alignment of those pairs holds it down, but others would."""
 
 MAX_NET, MAX_RANKED_NET = 30.0, 100.0
 """More evidence than this tells no more, of a pose alone and of two: what repeats itself has it too."""
@@ -58,7 +58,7 @@ are not joined."""
 LITTLE_OVERLAP, ENOUGH_OVERLAP, MAX_FIRMNESS_OF_LITTLE = 0.3, 0.5, 0.2
 """Where maps share less than the first of the smaller one, more firmness than the third tells no more: the few things
 that stand alike in two places are firm as well. From the second on they need no such caution."""
-RIGID_TOLERANCE_CELLS, RIGID_LINES, RIGID_RATIO, LEAST_RIGID, MOST_RIGID = 1.5, 6.0, 0.5, 0.35, 0.4
+RIGID_TOLERANCE_CELLS, RIGID_LINES, RIGID_RATIO, LEAST_RIGID, MOST_RIGID = 1.5, 6.0, 0.6, 0.35, 0.4
 """Walls that agree within the first, along at least the second, and at least the third of them all, of which the fourth
 to the fifth belong to parts that stay, agree as those of one rigid place do."""
 KNOWN_KEYPOINTS, KNOWN_FIRMNESS = 2.5, MAX_FIRMNESS

@@ -86,7 +86,7 @@ def test_many_tight_walls_whose_parts_stay_are_those_of_one_rigid_place() -> Non
     assert rigidity(rigid) == 1.0
     assert rigidity(rigid | {"firmness": 0.375}) == pytest.approx(0.5)
     assert rigidity({name: value for name, value in rigid.items() if name != "firmness"}) == 0.0
-    for less in ({"firmness": 0.34}, {"tolerance_cells": 3.0}, {"lines": 5.9}, {"ratio": 0.49}):
+    for less in ({"firmness": 0.34}, {"tolerance_cells": 3.0}, {"lines": 5.9}, {"ratio": 0.59}):
         assert rigidity(rigid | less) == 0.0
         assert confidence(rigid, 1.0) > confidence(rigid | less, 1.0)
 
