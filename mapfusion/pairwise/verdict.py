@@ -13,7 +13,6 @@ from mapfusion.pairwise.confidence import (
     Figures,
     confidence,
     margin,
-    rigidity,
 )
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
@@ -41,7 +40,7 @@ SMALL_OVERLAP = 0.4
 MORE_EVIDENCE = 70.0
 """Few walls, or walls that agree loosely only, need so much evidence where maps share less than SMALL_OVERLAP of the
 smaller one, as the less they share the more ways there are to share it, and where they contradict each other. So do few
-walls that agree loosely, which leave the pose loose. A rigid place needs no more."""
+walls that agree loosely, which leave the pose loose."""
 SURE = 0.92
 """Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
 Maps that share little and contradict each other too need it."""
@@ -186,7 +185,6 @@ def least_evidence(figures: Figures, trust: float) -> float:
     """The net evidence that a pose with these figures and this confidence needs."""
     is_few, is_loose, doubts = figures["lines"] < FEW_LINES, _is_loose(figures), _doubts(figures)
     is_sure = not is_few and (not is_loose or (trust >= SURE and not doubts[0]))
-    is_sure |= rigidity(figures) >= 1.0
     return MORE_EVIDENCE if (is_few and is_loose) or (any(doubts) and not is_sure) else MIN_EVIDENCE
 
 

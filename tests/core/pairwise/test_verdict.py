@@ -115,13 +115,6 @@ def test_many_walls_may_join_despite_a_doubt_where_the_confidence_is_high(
     assert result.confidence >= SURE
 
 
-def test_a_rigid_place_needs_no_more_evidence_despite_doubts() -> None:
-    few = GOOD | {"lines": 7.0, "mutual_ratio": 0.3, "contradiction": 0.3}
-    assert least_evidence(few, 0.9) == MORE_EVIDENCE
-    assert least_evidence(few | {"firmness": 0.4}, 0.9) == MIN_EVIDENCE
-    assert least_evidence(few | {"firmness": 0.4, "tolerance_cells": 3.0}, 0.9) == MORE_EVIDENCE
-
-
 def test_two_doubts_at_once_ask_for_more_confidence() -> None:
     assert least_confidence(GOOD | {"mutual_ratio": 0.3}) == MIN_CONFIDENCE
     assert least_confidence(GOOD | {"contradiction": 0.3}) == MIN_CONFIDENCE
