@@ -116,10 +116,12 @@ def remove_pockets(free: Mask) -> Mask:
 
     A noisy wall has free cells in and behind it. With their rims it would seem to be seen from both sides.
     """
-    _, labels = cv2.connectedComponents(free.view(np.uint8), connectivity=4)
+    num_islands, labels = cv2.connectedComponents(free.view(np.uint8), connectivity=4)
+    if num_islands <= 2:  # island 0 is what is not free
+        return free
     islands = np.asarray(labels, np.int32)
     is_pocket = np.bincount(islands.ravel(), minlength=1) < POCKET_CELLS
-    if not is_pocket[1:].any():  # island 0 is what is not free
+    if not is_pocket[1:].any():
         return free
     kept: Mask = free & ~is_pocket.take(islands)
     return kept
