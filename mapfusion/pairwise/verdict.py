@@ -44,9 +44,9 @@ walls that agree loosely, which leave the pose loose."""
 SURE = 0.92
 """Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
 Maps that share little and contradict each other too need it."""
-SOME_OPPOSITE, VERY_SURE = 0.08, 0.95
-"""From this share of walls that lie on walls seen from the other side on, so much confidence is needed: either the maps
-are so noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
+SOME_OPPOSITE, MUCH_OPPOSITE, VERY_SURE = 0.08, 0.1, 0.95
+"""With more than the first share of walls on walls seen from the other side SURE is needed, with more than the second
+VERY_SURE: either maps are so noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
 FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
 """Where they share as few walls as two things have, nearly all of the walls must agree, and not loosely, or long ones:
 two things that stand alike in both are no place yet."""
@@ -190,9 +190,9 @@ def least_evidence(figures: Figures, trust: float) -> float:
 
 def least_confidence(figures: Figures) -> float:
     """The confidence that a pose with these figures needs."""
-    if figures["opposite"] > SOME_OPPOSITE:
+    if figures["opposite"] > MUCH_OPPOSITE:
         return VERY_SURE
-    return SURE if all(_doubts(figures)) else MIN_CONFIDENCE
+    return SURE if all(_doubts(figures)) or figures["opposite"] > SOME_OPPOSITE else MIN_CONFIDENCE
 
 
 def _doubts(figures: Figures) -> tuple[bool, bool]:

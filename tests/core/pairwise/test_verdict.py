@@ -123,7 +123,8 @@ def test_two_doubts_at_once_ask_for_more_confidence() -> None:
 
 def test_walls_seen_from_the_other_side_ask_for_more_confidence() -> None:
     assert least_confidence(GOOD | {"opposite": 0.07}) == MIN_CONFIDENCE
-    assert least_confidence(GOOD | {"opposite": 0.09, "contradiction": 0.3}) == VERY_SURE
+    assert least_confidence(GOOD | {"opposite": 0.09, "contradiction": 0.3}) == SURE
+    assert least_confidence(GOOD | {"opposite": 0.11, "contradiction": 0.3}) == VERY_SURE
 
 
 def test_many_loose_walls_that_contradict_each_other_need_evidence_or_to_be_sure() -> None:
