@@ -12,6 +12,7 @@ import numpy.typing as npt
 from mapfusion.grid import OccupancyGrid, crop_to_known
 from mapfusion.pairwise.poses import Poses, differ, moved
 from mapfusion.pairwise.prepared import PreparedMap, prepare
+from mapfusion.pairwise.rough import Hypotheses
 from mapfusion.pairwise.search import DISTINCT_DEGREES, Candidate, distinct_cells, examine, propose, refine_and_rank
 from mapfusion.pairwise.voting import match
 from mapfusion.pipeline import replay
@@ -59,14 +60,17 @@ def method_pictures(target_grid: OccupancyGrid, source_grid: OccupancyGrid) -> d
     hypotheses = propose(target, source, matches)
     found = examine(target, source, hypotheses, matches)
     rims = [titled(rim_picture(one), name) for one, name in ((target, "robot1"), (source, "robot2"))]
-    elsewhere = hypotheses[is_apart(target, source, found.best.pose, hypotheses)]
+    apart = is_apart(target, source, found.best.pose, hypotheses.poses)
+    elsewhere = Hypotheses(hypotheses.poses[apart], hypotheses.scores[apart])
     others = refine_and_rank(target, source, elsewhere, matches)
     wrong = next(one for one in others if is_apart(target, source, found.best.pose, one.pose[None])[0])
     overlays = [
         titled(overlay(target, source, one.pose), f"{name}: evidence {one.figures['net']:.0f}, {walls(one)}")
         for name, one in (("best", found.best), ("elsewhere", wrong))
     ]
-    votes = titled(hypotheses_picture(target, source, hypotheses, found.best.pose), f"{len(hypotheses)} hypotheses")
+    votes = titled(
+        hypotheses_picture(target, source, hypotheses.poses, found.best.pose), f"{len(hypotheses)} hypotheses"
+    )
     return {"method_rim": beside(rims), "method_hypotheses": votes, "method_evidence": beside(overlays)}
 
 

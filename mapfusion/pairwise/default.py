@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
@@ -53,18 +51,18 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
         return refusal
     matches = match(target.features, source.features)
     proposed = propose(target, source, matches, GLANCE)
-    if is_promising(target, source, proposed):
+    if is_promising(proposed):
         glance = _judged(target, source, config, examine(target, source, proposed, matches, GLANCE))
         if glance.accepted and glance.confidence >= SETTLED:
             return glance
-    proposed = np.concatenate([proposed, propose(target, source, matches, QUICK, before=GLANCE)])
+    proposed = proposed.joined(propose(target, source, matches, QUICK, before=GLANCE))
     quickly = examine(target, source, proposed, matches, QUICK)
     quick = _judged(target, source, config, quickly)
     is_hopeless = quick.confidence < HOPELESS and not are_vast(target, source)
     is_settled = quick.confidence >= SETTLED if quick.accepted else is_hopeless or not is_thorough
     if is_settled:
         return quick
-    proposed = np.concatenate([proposed, propose(target, source, matches, THOROUGH, before=QUICK)])
+    proposed = proposed.joined(propose(target, source, matches, THOROUGH, before=QUICK))
     thoroughly = examine(target, source, proposed, matches, THOROUGH)
     if quick.accepted:
         checked = _judged(target, source, config, with_rivals_of(quickly, thoroughly, target, source))

@@ -94,7 +94,7 @@ def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
     """Brings one map to `resolution_m`, finds its features and the field of its walls' surface."""
     grid = crop_to_known(resample(grid, resolution_m))
     rough_walls, clear = grid.walls, grid.free
-    walls = remove_speckle(rough_walls)
+    walls = remove_speckle(rough_walls, grid.known)
     smooth = smooth_walls(walls, clear)
     open_space = widen_free(smooth, clear | rough_walls)
     known = grid.known | open_space

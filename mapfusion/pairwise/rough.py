@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -38,18 +39,36 @@ WIDE_STEPS = Steps(3.0, 2.0, 150)
 TIGHT_STEPS = Steps(2.0, 1.5, 250)
 
 
-def best_distinct(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int, count: int) -> Poses:
-    """The `count` best poses by a rough score, none of them within SAME_CELLS and SAME_DEGREES of a better one.
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypotheses:
+    """Poses of the source in the target, and how likely each is, roughly.
 
-    Args:
-        target: A map with walls.
-        source: Another one.
-        poses: (K, 3) of the source in the target, in cells.
-        num_points: About so many points of each map are used.
-        count: How many poses to give.
+    Attributes:
+        poses: (K, 3), in cells.
+        scores: (K,) rough score.
     """
-    poses = poses[np.argsort(-rough_score(target, source, poses, num_points), kind="stable")]
-    return poses[distinct(poses, source.centre, SAME_CELLS, SAME_DEGREES, count)]
+
+    poses: Poses
+    scores: Poses
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def joined(self, other: Hypotheses) -> Hypotheses:
+        """These followed by others."""
+        return Hypotheses(*(np.concatenate(two) for two in ((self.poses, other.poses), (self.scores, other.scores))))
+
+
+def scored(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int) -> Hypotheses:
+    """The poses (K, 3) with their rough scores by about `num_points` of each map's points; both maps have walls."""
+    return Hypotheses(poses, rough_score(target, source, poses, num_points))
+
+
+def best_distinct(hypotheses: Hypotheses, centre: Poses, count: int) -> Poses:
+    """The `count` best poses (K, 3), none of them within SAME_CELLS, at the source's centre, and SAME_DEGREES of a
+    better one."""
+    poses = hypotheses.poses[np.argsort(-hypotheses.scores, kind="stable")]
+    return poses[distinct(poses, centre, SAME_CELLS, SAME_DEGREES, count)]
 
 
 def best_nearby(target: PreparedMap, source: PreparedMap, poses: Poses, steps: Steps) -> Poses:

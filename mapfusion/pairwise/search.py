@@ -15,7 +15,7 @@ from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, 
 from mapfusion.pairwise.poses import Poses, differ, distinct, from_se2, to_se2
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.refine import refine
-from mapfusion.pairwise.rough import SAME_CELLS, TIGHT_STEPS, WIDE_STEPS, best_distinct, best_nearby, rough_score
+from mapfusion.pairwise.rough import SAME_CELLS, TIGHT_STEPS, WIDE_STEPS, Hypotheses, best_distinct, best_nearby, scored
 from mapfusion.pairwise.scrutiny import scrutinise
 from mapfusion.pairwise.surface import SurfaceField
 from mapfusion.pairwise.voting import Matches, match, vote
@@ -138,8 +138,8 @@ class Finding:
 
 def propose(
     target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort = QUICK, before: Effort | None = None
-) -> Poses:
-    """Hypotheses (K, 3) from features and from the maps as a whole, none that an effort `before` had from them.
+) -> Hypotheses:
+    """Hypotheses from features and from the maps as a whole, none that an effort `before` had from them.
 
     Where a coarser resolution is searched, more rotations than a quick search has are left to it.
     """
@@ -156,7 +156,7 @@ def propose(
         proposed.append(correlate(target.field, source.field, source.centre, first, last))
     if is_coarsened:
         proposed.append(_found_coarsely(target, source, effort))
-    return np.concatenate(proposed)
+    return scored(target, source, np.concatenate(proposed), COARSE_POINTS)
 
 
 def _can_be_coarsened(target: PreparedMap, source: PreparedMap) -> bool:
@@ -187,8 +187,9 @@ def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) ->
     coarse_target, coarse_source = target.coarser, source.coarser
     matches = match(coarse_target.features, coarse_source.features)
     hypotheses = propose(coarse_target, coarse_source, matches, effort)
-    refined = _refined(coarse_target, coarse_source, hypotheses, effort)
-    likely = best_distinct(coarse_target, coarse_source, refined, FINE_POINTS, effort.num_scrutinised)
+    poses = _refined(coarse_target, coarse_source, hypotheses, effort)
+    refined = scored(coarse_target, coarse_source, poses, FINE_POINTS)
+    likely = best_distinct(refined, coarse_source.centre, effort.num_scrutinised)
     resolution_m = target.grid.resolution_m
     at_target = target.grid.T_frame_grid.inverse() @ coarse_target.grid.T_frame_grid
     at_source = coarse_source.grid.T_frame_grid.inverse() @ source.grid.T_frame_grid
@@ -197,9 +198,9 @@ def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) ->
 
 
 def examine(
-    target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches, effort: Effort = QUICK
+    target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, matches: Matches, effort: Effort = QUICK
 ) -> Finding:
-    """The best of the hypotheses (K, 3), refined, with its evidence and its rival."""
+    """The best of the hypotheses, refined, with its evidence and its rival."""
     candidates = refine_and_rank(target, source, hypotheses, matches, effort)
     found = with_firmness(recheck(target, source, candidates[0].pose, matches), target, source)
     others = np.array([one.pose for one in candidates])
@@ -215,10 +216,9 @@ def examine(
     )
 
 
-def is_promising(target: PreparedMap, source: PreparedMap, hypotheses: Poses) -> bool:
-    """Whether the best of the hypotheses (K, 3), as it is, may turn out to be what joins the maps."""
-    scores = rough_score(target, source, hypotheses, COARSE_POINTS)
-    return bool((scores >= PROMISING_EVIDENCE).any())
+def is_promising(hypotheses: Hypotheses) -> bool:
+    """Whether the best of the hypotheses, as it is, may turn out to be what joins the maps."""
+    return bool((hypotheses.scores >= PROMISING_EVIDENCE).any())
 
 
 def with_rivals_of(finding: Finding, other: Finding, target: PreparedMap, source: PreparedMap) -> Finding:
@@ -241,9 +241,9 @@ def with_firmness(finding: Finding, target: PreparedMap, source: PreparedMap) ->
 
 
 def refine_and_rank(
-    target: PreparedMap, source: PreparedMap, hypotheses: Poses, matches: Matches, effort: Effort = QUICK
+    target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, matches: Matches, effort: Effort = QUICK
 ) -> list[Candidate]:
-    """The best few of the hypotheses (K, 3), refined, none of them like another; the most plausible first."""
+    """The best few of the hypotheses, refined, none of them like another; the most plausible first."""
     assert target.field is not None
     assert source.field is not None
     poses = _refined(target, source, hypotheses, effort)
@@ -262,16 +262,16 @@ def refine_and_rank(
     return sorted(candidates, key=lambda one: -one.plausibility)
 
 
-def _refined(target: PreparedMap, source: PreparedMap, hypotheses: Poses, effort: Effort) -> Poses:
-    """The best few of the hypotheses (K, 3), refined: the poses (K, 3) after the last step, then those of before it."""
+def _refined(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, effort: Effort) -> Poses:
+    """The best few of the hypotheses, refined: the poses (K, 3) after the last step, then those of before it."""
     assert target.field is not None
     assert source.field is not None
     fields, centre = (target.field, source.field), source.centre
-    starts = best_distinct(target, source, hypotheses, COARSE_POINTS, effort.num_starts)
+    starts = best_distinct(hypotheses, centre, effort.num_starts)
     if effort.is_exhaustive:
         starts = best_nearby(target, source, starts, WIDE_STEPS)
     wide, _ = refine(*fields, starts, centre, WIDE_REACHES, COARSE_POINTS)
-    wide = best_distinct(target, source, wide, FINE_POINTS, effort.num_candidates)
+    wide = best_distinct(scored(target, source, wide, FINE_POINTS), centre, effort.num_candidates)
     if effort.is_exhaustive:
         wide = np.concatenate([wide, best_nearby(target, source, wide, TIGHT_STEPS)])
     tight, _ = refine(*fields, wide, centre, TIGHT_REACHES, FINE_POINTS)

@@ -47,8 +47,9 @@ def match(target: Features, source: Features) -> Matches:
         return Matches(none, none)
     forward = _nearest(source, target)
     backward = _nearest(target, source)[:, ::-1]
-    pairs = np.unique(np.concatenate([forward, backward]), axis=0)
-    return Matches(pairs[:, 1], pairs[:, 0])
+    pairs = np.concatenate([forward, backward])
+    of_source, of_target = np.divmod(np.unique(pairs[:, 0] * len(target) + pairs[:, 1]), len(target))
+    return Matches(of_target, of_source)
 
 
 def _nearest(query: Features, train: Features) -> npt.NDArray[np.intp]:
@@ -93,7 +94,7 @@ def vote(target: Features, source: Features, matches: Matches, centre: Poses, co
     key, weight = np.concatenate(keys), np.concatenate(shares)
     bins, inverse = np.unique(key, return_inverse=True)
     total = np.bincount(inverse, weight)
-    best = np.lexsort((bins, -total))[:count]
+    best = _highest(np.asarray(total, np.float64), count)
     rank = np.full(len(bins), -1)
     rank[best] = np.arange(len(best))
     slot = rank[inverse]
@@ -104,3 +105,12 @@ def vote(target: Features, source: Features, matches: Matches, centre: Poses, co
     mean_x, mean_y = (np.bincount(slot, weight * centres[member, i], len(best)) / mass for i in (0, 1))
     sin, cos = (np.bincount(slot, weight * f(theta[member]), len(best)) for f in (np.sin, np.cos))
     return pose_from_centre(np.arctan2(sin, cos), np.stack([mean_x, mean_y], -1), centre)
+
+
+def _highest(values: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.intp]:
+    """Indices of up to `count` of the values (N,), highest first; of equal ones the first is higher."""
+    if len(values) > count:
+        chosen = np.flatnonzero(values >= np.partition(values, -count)[-count])
+    else:
+        chosen = np.arange(len(values))
+    return chosen[np.argsort(-values[chosen], kind="stable")][:count]

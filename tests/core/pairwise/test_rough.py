@@ -16,6 +16,7 @@ from mapfusion.pairwise.rough import (
     Steps,
     best_distinct,
     best_nearby,
+    scored,
 )
 from mapfusion.transform import SE2
 from tests.fakes import rooms, seen_from
@@ -56,7 +57,8 @@ def test_the_best_poses_come_first_and_none_is_like_another(maps: tuple[Prepared
     target, source = maps
     far = [displaced(source, (60.0 * k, 0.0), 0.0) for k in range(1, 4)]
     truth, near = displaced(source, (0.0, 0.0), 0.0), displaced(source, (2.0, 0.0), 1.0)
-    poses = best_distinct(target, source, np.concatenate([*far, near, truth]), 400, 3)
+    hypotheses = scored(target, source, np.concatenate([*far, near]), 400).joined(scored(target, source, truth, 400))
+    poses = best_distinct(hypotheses, source.centre, 3)
     assert len(poses) == 3
     assert not differ(truth, poses[:1], source.centre, 2.1, 1.1).any()
     assert differ(poses, poses, source.centre, SAME_CELLS, SAME_DEGREES).sum() == 6

@@ -60,7 +60,32 @@ def test_specks_go_and_walls_stay() -> None:
     walls[10:13, 5:35] = True
     with_noise = walls.copy()
     with_noise[25, 20 : 20 + SPECKLE_CELLS - 1] = True
-    np.testing.assert_array_equal(remove_speckle(with_noise), walls)
+    np.testing.assert_array_equal(remove_speckle(with_noise, np.ones_like(walls)), walls)
+
+
+def test_a_wall_that_noise_broke_up_stays_and_noise_as_such_goes() -> None:
+    rng = np.random.default_rng(7)
+    along = np.arange(10, 190)
+    broken = np.zeros((200, 200), np.bool_)
+    broken[100 + rng.integers(-1, 2, len(along)), along + rng.integers(-1, 2, len(along))] = True
+    noise = rng.random(broken.shape) < 0.03
+    noise[80:121] = False
+    kept = remove_speckle(broken | noise, np.ones_like(broken))
+    assert kept[broken].mean() > 0.75
+    assert kept[noise].mean() < 0.05
+
+
+def test_the_broken_edge_of_what_is_known_stays_and_a_lone_cell_beyond_it_goes() -> None:
+    rng = np.random.default_rng(3)
+    along = np.arange(10, 90)
+    walls, known = np.zeros((100, 100), np.bool_), np.zeros((100, 100), np.bool_)
+    known[:50] = True
+    walls[50 + rng.integers(-1, 2, len(along)), along] = True
+    lone = np.zeros_like(walls)
+    lone[80, 50] = True
+    kept = remove_speckle(walls | lone, known | walls | lone)
+    assert kept[walls].mean() > 0.95
+    assert not kept[lone].any()
 
 
 def test_pockets_of_free_space_go_and_passages_stay() -> None:
