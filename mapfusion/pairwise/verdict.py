@@ -32,7 +32,7 @@ MIN_MARGIN, SLIDING_MARGIN = 0.5, 2.0
 the walls hold one direction so weakly that the pose may slide."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
-MIN_CONFIDENCE = 0.84
+MIN_CONFIDENCE = 0.86
 MIN_RATIO = 0.2
 """Least share of the walls in the common area that must agree, however few would by chance."""
 SMALL_OVERLAP = 0.4
@@ -44,15 +44,15 @@ walls that agree loosely, which leave the pose loose."""
 SURE = 0.92
 """Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
 Maps that share little and contradict each other too need it."""
-SOME_OPPOSITE, MUCH_OPPOSITE, VERY_SURE = 0.08, 0.1, 0.95
-"""With more than the first share of walls on walls seen from the other side SURE is needed, with more than the second
-VERY_SURE: either maps are so noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
+MUCH_OPPOSITE, VERY_SURE = 0.1, 0.95
+"""With more than this share of walls on walls seen from the other side so much confidence is needed: either maps are so
+noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
 FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
 """Where they share as few walls as two things have, nearly all of the walls must agree, and not loosely, or long ones:
 two things that stand alike in both are no place yet."""
-MIN_STAYING = 0.2
-"""Least firmness of maps that are not bent. Of 1 630 right poses that were joined, none had less (the fitted pairs of
-benchmarks/RESULTS.md), of the 62 wrong ones with the most confidence 25."""
+LEAST_FIRMNESS = {1.5: 0.1, 3.0: 0.2, 6.0: 0.0}
+"""Least firmness by the tolerance, cells, within which walls agree. Bent maps have little of it, and so have long
+straight walls, whose parts stay nowhere; but those agree closely."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MIN_RESIDUAL_CELLS = 0.3
@@ -171,7 +171,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "parts", (
             "parts of the maps would lie as well some cells away: only those that hold "
             f"{figures['firmness']:.0%} of the walls in the common area stay where the alignment puts them "
-            f"(at least {MIN_STAYING:.0%} where walls agree within {figures['tolerance_cells']:g} cells); {agreement}"
+            f"(at least {_least_firmness(figures):.0%} where walls agree within {figures['tolerance_cells']:g} cells); {agreement}"
         )
     if trust < least_trust:
         return "confidence", (
@@ -195,7 +195,7 @@ def least_confidence(figures: Figures) -> float:
     """The confidence that a pose with these figures needs."""
     if figures["opposite"] > MUCH_OPPOSITE:
         return VERY_SURE
-    return SURE if all(_doubts(figures)) or figures["opposite"] > SOME_OPPOSITE else MIN_CONFIDENCE
+    return SURE if all(_doubts(figures)) else MIN_CONFIDENCE
 
 
 def _doubts(figures: Figures) -> tuple[bool, bool]:
@@ -224,8 +224,12 @@ def _is_enough(finding: Finding, supposed: Figures) -> bool:
 
 
 def is_adrift(figures: Figures) -> bool:
-    """Whether hardly any part of the maps stays where the pose puts it, though they are not bent."""
-    return not _is_loose(figures) and figures.get("firmness", MIN_STAYING) < MIN_STAYING
+    """Whether too few parts of the maps stay where the pose puts them, as far as parts were looked at."""
+    return "firmness" in figures and figures["firmness"] < _least_firmness(figures)
+
+
+def _least_firmness(figures: Figures) -> float:
+    return LEAST_FIRMNESS[figures["tolerance_cells"]]
 
 
 def _is_loose(figures: Figures) -> bool:
