@@ -171,7 +171,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "parts", (
             "parts of the maps would lie as well some cells away: only those that hold "
             f"{figures['firmness']:.0%} of the walls in the common area stay where the alignment puts them "
-            f"(at least {_least_firmness(figures):.0%} where walls agree within {figures['tolerance_cells']:g} cells); {agreement}"
+            f"(at least {_least_firmness(figures):.0%} where walls agree within {figures['tolerance_cells']:g} cells); "
+            f"{agreement}"
         )
     if trust < least_trust:
         return "confidence", (
