@@ -38,9 +38,11 @@ CONFIDENCE = {
     "keypoints": 0.302,
     "firm": 8.174,
     "rigid": 2.0,
+    "close": 3.0,
 }
-"""Weights of the logistic model of how probable it is that the best alignment of a pair is right. That of `rigid` is
-a quarter of what is fitted: hardly any wrong alignment of those pairs holds it down, but others would."""
+"""Weights of the logistic model of how probable it is that the best alignment of a pair is right. Those of `rigid` and
+`close` are a quarter and half of what is fitted: hardly any wrong alignment of those pairs holds them down, but others
+would."""
 
 MAX_NET, MAX_RANKED_NET = 30.0, 100.0
 """More evidence than this tells no more, of a pose alone and of two: what repeats itself has it too."""
@@ -61,6 +63,9 @@ that stand alike in two places are firm as well. From the second on they need no
 RIGID_TOLERANCE_CELLS, RIGID_LINES, RIGID_RATIO, LEAST_RIGID, MOST_RIGID = 1.5, 6.0, 0.6, 0.35, 0.4
 """Walls that agree within the first, along at least the second, and at least the third of them all, of which the fourth
 to the fifth belong to parts that stay, agree as those of one rigid place do."""
+CLOSE_RATIOS, CLOSE_NETS = (0.9, 0.97), (100.0, 300.0)
+"""Shares of walls that agree within RIGID_TOLERANCE_CELLS, and evidence, from which on they count as one and the same
+place, and above which they count as no more."""
 KNOWN_KEYPOINTS, KNOWN_FIRMNESS = 2.5, MAX_FIRMNESS
 """Taken for a transform that is only verified: its keypoints were counted when it was found, and its parts are looked
 at where they may decide."""
@@ -96,8 +101,8 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
     """What the confidence is made of; each term is held to the range in which it tells right from wrong."""
     # A run of wall across free space is to be seen against the size of what is compared.
     run = figures["crossing_cells"] / (math.sqrt(max(figures["num_walls"], 1.0)) / 3.0)
-    share_of_most = (figures["mutual_ratio"] - LITTLE_OVERLAP) / (ENOUGH_OVERLAP - LITTLE_OVERLAP)
-    most_firmness = MAX_FIRMNESS_OF_LITTLE + min(max(share_of_most, 0.0), 1.0) * (MAX_FIRMNESS - MAX_FIRMNESS_OF_LITTLE)
+    share_of_most = _ramp(figures["mutual_ratio"], LITTLE_OVERLAP, ENOUGH_OVERLAP)
+    most_firmness = MAX_FIRMNESS_OF_LITTLE + share_of_most * (MAX_FIRMNESS - MAX_FIRMNESS_OF_LITTLE)
     return {
         "bias": 1.0,
         "net": _log(min(figures["net"], MAX_NET)),
@@ -112,7 +117,20 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
         "keypoints": figures.get("keypoints", KNOWN_KEYPOINTS),
         "firm": min(max(figures.get("firmness", KNOWN_FIRMNESS), MIN_FIRMNESS), most_firmness),
         "rigid": rigidity(figures),
+        "close": closeness(figures),
     }
+
+
+def closeness(figures: Figures) -> float:
+    """How surely walls with these figures are the same, however few there are, in [0, 1].
+
+    Much evidence alone tells little, as what repeats itself has it too, and so does a large share of walls that agree,
+    as any corner fits any other. Of wrong poses hardly any has both.
+    """
+    if figures["tolerance_cells"] > RIGID_TOLERANCE_CELLS:
+        return 0.0
+    of_net = _ramp(math.log(max(figures["net"], 1.0)), *map(math.log, CLOSE_NETS))
+    return _ramp(figures["ratio"], *CLOSE_RATIOS) * of_net
 
 
 def rigidity(figures: Figures) -> float:
@@ -124,8 +142,12 @@ def rigidity(figures: Figures) -> float:
     is_tight = figures["tolerance_cells"] <= RIGID_TOLERANCE_CELLS and figures["ratio"] >= RIGID_RATIO
     if not is_tight or figures["lines"] < RIGID_LINES:
         return 0.0
-    above = (figures.get("firmness", 0.0) - LEAST_RIGID) / (MOST_RIGID - LEAST_RIGID)
-    return min(max(above, 0.0), 1.0)
+    return _ramp(figures.get("firmness", 0.0), LEAST_RIGID, MOST_RIGID)
+
+
+def _ramp(value: float, low: float, high: float) -> float:
+    """From 0 at `low` to 1 at `high`."""
+    return min(max((value - low) / (high - low), 0.0), 1.0)
 
 
 def confidence(figures: Figures, above_rival: float) -> float:

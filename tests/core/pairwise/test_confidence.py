@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from mapfusion.pairwise.confidence import (
@@ -11,6 +13,7 @@ from mapfusion.pairwise.confidence import (
     MAX_MARGIN,
     MAX_NET,
     PLAUSIBILITY,
+    closeness,
     confidence,
     confidence_terms,
     margin,
@@ -79,6 +82,23 @@ def test_confidence_grows_with_what_speaks_for_a_pose(better: dict[str, float]) 
 
 def test_more_evidence_than_repetition_has_too_is_no_more_confidence() -> None:
     assert confidence(FIGURES | {"net": MAX_NET}, 2.0) == confidence(FIGURES | {"net": 30.0 * MAX_NET}, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("less", "expected"),
+    [
+        ({}, 1.0),
+        ({"ratio": 0.935}, 0.5),
+        ({"ratio": 0.9}, 0.0),
+        ({"net": math.sqrt(100.0 * 300.0)}, 0.5),
+        ({"net": 100.0}, 0.0),
+        ({"tolerance_cells": 3.0}, 0.0),
+    ],
+)
+def test_nearly_all_walls_and_much_evidence_make_few_walls_the_same(less: dict[str, float], expected: float) -> None:
+    close = FIGURES | {"tolerance_cells": 1.5, "ratio": 0.97, "net": 300.0, "lines": 4.0}
+    assert closeness(close | less) == pytest.approx(expected, abs=1e-9)
+    assert confidence(close, 1.0) >= confidence(close | less, 1.0)
 
 
 def test_many_tight_walls_whose_parts_stay_are_those_of_one_rigid_place() -> None:
