@@ -11,6 +11,7 @@ from mapfusion.errors import LogWriteError
 from mapfusion.grid import OccupancyGrid
 from mapfusion.steps import FusionStep
 from mapfusion.summary import Summary
+from mapfusion.transform import SE2
 from mapfusion.version import __version__
 from mapfusion_io import encode
 from mapfusion_io.atomic import AtomicFile
@@ -59,6 +60,7 @@ class MissionWriter:
         self._last_map: OccupancyGrid | None = None
         self._log_time_ns = 0
         self._summary = Summary()
+        self._shown: set[str] = set()
         self._finished = False
 
     def __enter__(self) -> Self:
@@ -136,8 +138,16 @@ class MissionWriter:
 
     def _write_poses(self, step: FusionStep) -> None:
         for robot, pose in step.poses.items():
-            data = self._encoder.pose(pose, self._frame(step.placements[robot].group), step.stamp_ns)
-            self._put(f"{self._root(step, robot)}/pose", encode.POSE_STAMPED, data, STREAMED)
+            self._write_pose(step, robot, pose, step.stamp_ns)
+        for robot, path in step.paths.items():
+            if f"{self._root(step, robot)}/pose" not in self._shown:  # joined after its last pose
+                self._write_pose(step, robot, SE2(*path.poses[-1].tolist()), int(path.stamps_ns[-1]))
+
+    def _write_pose(self, step: FusionStep, robot: str, pose: SE2, stamp_ns: int) -> None:
+        topic = f"{self._root(step, robot)}/pose"
+        data = self._encoder.pose(pose, self._frame(step.placements[robot].group), stamp_ns)
+        self._put(topic, encode.POSE_STAMPED, data, STREAMED)
+        self._shown.add(topic)
 
     def _write_pairs(self, step: FusionStep) -> None:
         statuses = [pair_status(report) for report in step.pairs]

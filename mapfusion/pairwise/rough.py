@@ -65,8 +65,10 @@ def scored(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: i
 
 
 def best_distinct(hypotheses: Hypotheses, centre: Poses, count: int) -> Poses:
-    """The `count` best poses (K, 3), none of them within SAME_CELLS, at the source's centre, and SAME_DEGREES of a
-    better one."""
+    """The `count` best poses (K, 3), none of them within SAME_CELLS and SAME_DEGREES of a better one.
+
+    `centre` (2,) is the source's point at which cells are compared.
+    """
     poses = hypotheses.poses[np.argsort(-hypotheses.scores, kind="stable")]
     return poses[distinct(poses, centre, SAME_CELLS, SAME_DEGREES, count)]
 

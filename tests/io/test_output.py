@@ -6,7 +6,7 @@ import json
 import math
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +167,21 @@ def test_poses_and_paths_stand_in_the_world(mission: Content) -> None:
     assert time == START_NS + 5 * 10**9
     assert path.header.frame_id == "world"
     assert [pose.pose.position.x for pose in path.poses] == make_path(7).poses[:, 0].tolist()
+
+
+@pytest.mark.parametrize("is_seen_before", [True, False])
+def test_robots_that_join_after_their_last_pose_are_shown_where_it_was(tmp_path: Path, is_seen_before: bool) -> None:
+    first, *_, last = make_steps()
+    first = replace(first, placements=last.placements, poses=last.poses if is_seen_before else {})
+    write_mission(tmp_path / "out.mcap", [first, replace(last, poses={})])
+    path, poses = make_path(7), read(tmp_path / "out.mcap").messages["/fused/robot2/pose"]
+    ((time, pose),) = poses
+    if is_seen_before:
+        assert (time, stamp_ns(pose)) == (START_NS, START_NS)
+    else:
+        assert (time, stamp_ns(pose)) == (last.stamp_ns, path.stamps_ns[-1])
+        assert (pose.pose.position.x, pose.pose.position.y) == tuple(path.poses[-1, :2])
+        assert pose.header.frame_id == "world"
 
 
 def test_diagnostics_name_the_pairs_and_the_changes(mission: Content) -> None:
