@@ -18,7 +18,7 @@ from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.surface import NOT_KNOWN
 from mapfusion.pairwise.voting import Matches
 
-REPEATED_CELLS = {1.5: 2.0, 3.0: 4.0, 6.0: 8.0}
+REPEATED_CELLS = {1.5: 2, 3.0: 4, 6.0: 8}
 """How near a keypoint of the other map must lie, cells, by the tolerance at which walls agree: maps bend."""
 PRIOR_KEYPOINTS = 6.0
 """As many keypoints that behave like chance are added to those that are counted."""
@@ -47,9 +47,9 @@ def keypoint_agreement(
     target: PreparedMap, source: PreparedMap, pose: Poses, matches: Matches, tolerance_cells: float
 ) -> KeypointAgreement:
     """Looks at the keypoints of both maps under `pose` (3,) of the source in the target."""
-    radius = REPEATED_CELLS[tolerance_cells]
-    forward = _repeated(target, source, pose, radius)
-    backward = _repeated(source, target, inverse(pose[None])[0], radius)
+    radius_cells = REPEATED_CELLS[tolerance_cells]
+    forward = _repeated(target, source, pose, radius_cells)
+    backward = _repeated(source, target, inverse(pose[None])[0], radius_cells)
     n, k = forward.number + backward.number, forward.repeated + backward.repeated
     chance = (forward.chance * forward.number + backward.chance * backward.number) / max(n, 1)
     odds = (k + PRIOR_KEYPOINTS * chance + 1.0) / (n - k + PRIOR_KEYPOINTS * (1.0 - chance) + 1.0)
@@ -70,13 +70,13 @@ class _Repeated:
     chance: float
 
 
-def _repeated(there: PreparedMap, here: PreparedMap, pose: Poses, radius: float) -> _Repeated:
+def _repeated(there: PreparedMap, here: PreparedMap, pose: Poses, radius_cells: int) -> _Repeated:
     assert there.field is not None
-    depth = there.field.depth.ravel()
+    depth, near = there.field.depth.ravel(), there.near_keypoints(radius_cells).ravel()
     found = []
     for points in (here.features.points, here.area):
         cells = there.field.cells_below(moved(pose[None], points))[0]
-        found.append(there.keypoint_distance.ravel().take(cells[depth.take(cells) != NOT_KNOWN]) <= radius)
+        found.append(near.take(cells[depth.take(cells) != NOT_KNOWN]))
     keypoints, area = found
     return _Repeated(len(keypoints), int(np.count_nonzero(keypoints)), float(area.mean()) if len(area) else 1.0)
 

@@ -15,11 +15,10 @@ from mapfusion.pairwise.sketch import sketch
 from mapfusion.pairwise.surface import (
     DIRECTION_BINS,
     Bytes,
-    Floats,
     Indices,
     Points,
     SurfaceField,
-    distance_to,
+    disc_around,
     extract_surface,
     remove_pockets,
     remove_speckle,
@@ -85,9 +84,15 @@ class PreparedMap:
         return sketch(self.field)
 
     @cached_property
-    def keypoint_distance(self) -> Floats:
-        """(H, W) distance of each cell of the field, as in SurfaceField, to the nearest keypoint, cells."""
-        return distance_to(self.features.points, self.grid.cells.shape)
+    def _near_keypoints(self) -> dict[int, Bytes]:
+        return {}
+
+    def near_keypoints(self, radius_cells: int) -> Bytes:
+        """(H, W) 1 at the cells of the field, as in SurfaceField, within `radius_cells` of a keypoint."""
+        if radius_cells not in self._near_keypoints:
+            discs = disc_around(self.features.points, self.grid.cells.shape, radius_cells)
+            self._near_keypoints[radius_cells] = discs
+        return self._near_keypoints[radius_cells]
 
 
 def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:

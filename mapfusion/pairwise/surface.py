@@ -210,9 +210,11 @@ def _depth(free: Bytes) -> Bytes:
     return depth
 
 
-def distance_to(points: Points, shape: tuple[int, ...]) -> Floats:
-    """Cells from each cell to the nearest of `points` (N, 2), in a map of `shape` and FIELD_MARGIN around it."""
-    return np.asarray(cv2.distanceTransform(_all_but(points, shape), cv2.DIST_L2, 3), np.float32)
+def disc_around(points: Points, shape: tuple[int, ...], radius_cells: int) -> Bytes:
+    """1 at the cells within `radius_cells` of `points` (N, 2), in a map of `shape` and FIELD_MARGIN around it."""
+    across = np.square(np.arange(-radius_cells, radius_cells + 1))
+    disc = (across[:, None] + across <= radius_cells**2).astype(np.uint8)
+    return np.asarray(cv2.dilate(1 - _all_but(points, shape), disc), np.uint8)
 
 
 def _all_but(points: Points, shape: tuple[int, ...]) -> Bytes:

@@ -13,7 +13,7 @@ from mapfusion.pairwise.surface import (
     MAX_DEPTH,
     NOT_KNOWN,
     SPECKLE_CELLS,
-    distance_to,
+    disc_around,
     extract_surface,
     remove_pockets,
     remove_speckle,
@@ -152,13 +152,14 @@ def test_a_filled_cell_is_not_free() -> None:
     assert not widen_free(walls, np.ones_like(walls))[1].any()
 
 
-def test_distance_to_points_reaches_beyond_the_map() -> None:
-    away = distance_to(np.array([[5.5, 3.5], [900.0, 900.0]], np.float32), (10, 20))
+@pytest.mark.parametrize(("radius_cells", "num_cells"), [(2, 13), (4, 49), (8, 197)])
+def test_discs_around_points_hold_the_cells_within_their_radius(radius_cells: int, num_cells: int) -> None:
+    near = disc_around(np.array([[5.5, 3.5]], np.float32), (10, 20), radius_cells)
     m = FIELD_MARGIN
-    assert away.shape == (10 + 2 * m, 20 + 2 * m)
-    assert away[3 + m, 5 + m] == 0.0
-    assert away[3 + m, 9 + m] == pytest.approx(4.0, abs=0.5)
-    assert (distance_to(np.zeros((0, 2), np.float32), (10, 20)) > 20.0).all()
+    assert near.shape == (10 + 2 * m, 20 + 2 * m)
+    assert near.sum() == num_cells  # the lattice points of a circle: Gauss's problem
+    assert near[3 + m, 5 + m - radius_cells] == near[3 + m + radius_cells, 5 + m] == 1
+    assert not disc_around(np.zeros((0, 2), np.float32), (10, 20), radius_cells).any()
 
 
 def test_field_names_the_nearest_point_and_the_depth_of_free_space() -> None:
