@@ -103,7 +103,8 @@ def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
     smooth = smooth_walls(walls, clear)
     open_space = widen_free(smooth, clear | rough_walls)
     known = grid.known | open_space
-    free = remove_pockets(open_space)
+    is_noisy = walls is not rough_walls  # noise leaves islands of wall as well as of free space
+    free = remove_pockets(open_space) if is_noisy else open_space
     surface = extract_surface(smooth, free)
     field = surface_field(surface, free, known) if len(surface) else None
     area, cells_per_area_sample = _raster(known)

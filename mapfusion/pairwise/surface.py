@@ -108,6 +108,7 @@ def remove_speckle(walls: Mask, known: Mask) -> Mask:
     """The walls (H, W) without noise: islands of fewer than SPECKLE_CELLS cells which other walls do not surround.
 
     A thin wall that noise broke up is a row of such islands; `known` are the map's known cells, its walls among them.
+    The walls themselves where no island is so small.
     """
     _, labels = cv2.connectedComponents(walls.view(np.uint8), connectivity=8)
     cells = np.flatnonzero(walls)
