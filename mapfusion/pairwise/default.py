@@ -28,7 +28,7 @@ __all__ = ["PreparedMap", "fuse", "prepare", "verify"]
 
 SETTLED = 0.98
 """A join that a search is less sure of than this must stand against the rivals that a more thorough one finds."""
-HOPELESS = 0.0015
+HOPELESS = 0.01
 """Where a quick search of maps that are not vast is less sure than this, a thorough one finds next to nothing."""
 
 
