@@ -75,7 +75,7 @@ def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, confi
     """Refines and judges a transform that is known from before, without looking for another one.
 
     Whether a different one fits as well was settled when it was found: its margin is taken as
-    verdict.KNOWN_MARGIN. Whether the parts stay is asked where the verdict may turn on it.
+    verdict.KNOWN_MARGIN. Whether the parts stay is asked where the confidence may turn on it.
     """
     if target.key > source.key:
         return verify(source, target, T_target_source.inverse(), config).swapped()

@@ -212,7 +212,7 @@ def are_few_things(figures: Figures) -> bool:
 
 
 def may_turn_on_parts(finding: Finding) -> bool:
-    """Whether a finding would be sure enough if all parts stayed, and not if hardly any did."""
+    """Whether a finding would have confidence and evidence enough if all parts stayed, and not if hardly any did."""
     worst, best = (_is_enough(finding, {"firmness": one}) for one in (MIN_FIRMNESS, MAX_FIRMNESS))
     return best and not worst
 
