@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
-from collections.abc import Iterator, Sequence
-from types import FrameType
+from collections.abc import Sequence
 from typing import Annotated, NoReturn
 
 import typer
@@ -16,6 +14,7 @@ from mapfusion.version import __version__
 from mapfusion_cli.evaluate import evaluate
 from mapfusion_cli.info import info
 from mapfusion_cli.replay import replay
+from mapfusion_cli.signals import unwinding
 from mapfusion_cli.simulate import simulate
 
 FAILED, USAGE = 1, 2
@@ -61,7 +60,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
         arguments: Instead of the process's own.
     """
     try:
-        with _terminated_like_interrupted():
+        with unwinding():
             code = app(
                 args=None if arguments is None else list(arguments), prog_name="mapfusion", standalone_mode=False
             )
@@ -99,22 +98,3 @@ def _fail(words: str, code: int) -> NoReturn:
 
     complain(two_lines(f"mapfusion: {words}"))
     raise SystemExit(code)
-
-
-@contextlib.contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    """SIGTERM, and SIGHUP where it is not ignored, unwind the stack as Ctrl-C does: no half-written file is left."""
-
-    def terminate(signum: int, frame: FrameType | None) -> None:
-        raise SystemExit(128 + signum)
-
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
-    before = {getattr(signal, name): signal.getsignal(getattr(signal, name)) for name in names}
-    for signum, handler in before.items():
-        if handler not in (signal.SIG_IGN, None):
-            signal.signal(signum, terminate)
-    try:
-        yield
-    finally:
-        for signum, handler in before.items():
-            signal.signal(signum, handler or signal.SIG_DFL)
