@@ -131,13 +131,17 @@ def likely_rotations(target: Surface, source: Surface) -> npt.NDArray[np.float64
 
 
 def _directions(surface: Surface) -> npt.NDArray[np.float64]:
-    """(360,) how much wall faces each whole degree, blurred, with mean 0."""
+    """(360,) root of how much wall faces each whole degree, blurred, with mean 0.
+
+    By the root a few long walls, which the other map need not share, do not outweigh all others.
+    """
     degrees = np.degrees(np.arctan2(surface.normals[:, 1], surface.normals[:, 0]))
     counts = np.bincount(np.floor(degrees).astype(np.int64) % 360, minlength=360).astype(np.float64)
     away = np.minimum(np.arange(360), 360 - np.arange(360))
     kernel = np.exp(-0.5 * np.square(away / DIRECTION_SIGMA_DEGREES))
-    blurred: npt.NDArray[np.float64] = np.fft.irfft(np.fft.rfft(counts) * np.fft.rfft(kernel), 360)
-    centred: npt.NDArray[np.float64] = blurred - blurred.mean()
+    blurred = np.fft.irfft(np.fft.rfft(counts) * np.fft.rfft(kernel), 360)
+    roots = np.sqrt(np.maximum(blurred, 0.0))
+    centred: npt.NDArray[np.float64] = roots - roots.mean()
     return centred
 
 

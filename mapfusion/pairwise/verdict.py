@@ -39,8 +39,8 @@ SMALL_OVERLAP = 0.4
 """Maps that share less than this of the smaller one share little."""
 MORE_EVIDENCE = 70.0
 """Few walls, or walls that agree loosely only, need so much evidence where maps share less than SMALL_OVERLAP of the
-smaller one, as the less they share the more ways there are to share it, and where they contradict each other. So do few
-walls that agree loosely, which leave the pose loose."""
+smaller one, as the less they share the more ways there are to share it, and where they contradict each other without
+agreeing closely. So do few walls that agree loosely, which leave the pose loose."""
 SURE = 0.92
 """Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
 Maps that share little and contradict each other too need it."""
@@ -49,7 +49,7 @@ MUCH_OPPOSITE, VERY_SURE = 0.1, 0.95
 noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
 FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
 """Where they share as few walls as two things have, nearly all of the walls must agree, and not loosely, or long ones:
-two things that stand alike in both are no place yet."""
+two things that stand alike in both are no place yet. Walls that agree closely need MORE_EVIDENCE only."""
 LEAST_FIRMNESS = {1.5: 0.1, 3.0: 0.2, 6.0: 0.0}
 """Least firmness by the tolerance, cells, within which walls agree. Bent maps have little of it, and so have long
 straight walls, whose parts stay nowhere; but those agree closely."""
@@ -147,7 +147,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "chance", (
             f"one or two things that stand alike in both maps: about {figures['lines']:.0f} different walls agree and "
             f"{figures['mutual_ratio']:.0%} of the smaller map is in common, so {MIN_RATIO_OF_FEW:.0%} of the walls "
-            f"would have to, or the evidence to be {MUCH_EVIDENCE:.0f} (is {figures['net']:.0f}); {agreement}"
+            f"would have to, or the evidence to be {_evidence_of_few(figures):.0f} (is {figures['net']:.0f}); "
+            f"{agreement}"
         )
     if figures["conditioning"] < MIN_CONDITIONING:
         return "one direction", (
@@ -187,9 +188,11 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 
 def least_evidence(figures: Figures, trust: float) -> float:
     """The net evidence that a pose with these figures and this confidence needs."""
-    is_few, is_loose, doubts = figures["lines"] < FEW_LINES, _is_loose(figures), _doubts(figures)
-    is_sure = not is_few and (not is_loose or (trust >= SURE and not doubts[0]))
-    return MORE_EVIDENCE if (is_few and is_loose) or (any(doubts) and not is_sure) else MIN_EVIDENCE
+    is_few, is_loose = figures["lines"] < FEW_LINES, _is_loose(figures)
+    is_little, is_contradicted = _doubts(figures)
+    is_sure = not is_few and (not is_loose or trust >= SURE)
+    is_doubted = (is_little and (is_few or is_loose)) or (is_contradicted and not is_sure and not _is_close(figures))
+    return MORE_EVIDENCE if (is_few and is_loose) or is_doubted else MIN_EVIDENCE
 
 
 def least_confidence(figures: Figures) -> float:
@@ -208,7 +211,11 @@ def are_few_things(figures: Figures) -> bool:
     """Whether what agrees may be one or two things that stand alike in two places."""
     is_little = figures["mutual_ratio"] < SMALL_OVERLAP and figures["lines"] < FEW_LINES
     agree = figures["ratio"] >= MIN_RATIO_OF_FEW and not _is_loose(figures)
-    return is_little and not agree and figures["net"] < MUCH_EVIDENCE
+    return is_little and not agree and figures["net"] < _evidence_of_few(figures)
+
+
+def _evidence_of_few(figures: Figures) -> float:
+    return MORE_EVIDENCE if _is_close(figures) else MUCH_EVIDENCE
 
 
 def may_turn_on_parts(finding: Finding) -> bool:
@@ -231,6 +238,11 @@ def is_adrift(figures: Figures) -> bool:
 
 def _least_firmness(figures: Figures) -> float:
     return LEAST_FIRMNESS[figures["tolerance_cells"]]
+
+
+def _is_close(figures: Figures) -> bool:
+    """Whether walls agree best at the closest tolerance."""
+    return figures["tolerance_cells"] <= min(TOLERANCES_CELLS)
 
 
 def _is_loose(figures: Figures) -> bool:

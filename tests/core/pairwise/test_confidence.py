@@ -127,6 +127,15 @@ def test_a_close_rival_takes_confidence() -> None:
     assert confidence(FIGURES, margin(FIGURES, weak)) > confidence(FIGURES, margin(FIGURES, close))
 
 
+def test_a_rival_that_falls_far_behind_counts_less_where_plausibility_cannot_tell() -> None:
+    best = FIGURES | {"net": 400.0}
+    assert margin(best, best | {"net": 201.0}) == 0.0
+    assert margin(best, best | {"net": 150.0}) == pytest.approx(3.0 * math.log(200.0 / 150.0))
+    assert margin(best, best | {"net": 0.0}) == MAX_MARGIN
+    less = FIGURES | {"net": 99.0}
+    assert margin(less, less | {"net": 20.0}) == pytest.approx(plausibility(less) - plausibility(less | {"net": 20.0}))
+
+
 def test_nothing_at_all_is_no_error_and_no_confidence() -> None:
     nothing = dict.fromkeys(FIGURES, 0.0)
     assert confidence(nothing, 0.0) < 0.001

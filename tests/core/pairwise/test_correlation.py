@@ -14,7 +14,7 @@ from mapfusion.pairwise import correlation
 from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION, correlate, likely_rotations
 from mapfusion.pairwise.poses import differ, from_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.surface import SurfaceField
+from mapfusion.pairwise.surface import Surface, SurfaceField
 from mapfusion.transform import SE2
 from tests.fakes import grid_of, rooms, seen_from
 
@@ -45,6 +45,19 @@ def test_likely_rotations_are_all_rotations_the_right_one_early() -> None:
     assert np.unique(rotations).size == 120
     away = np.abs(np.remainder(rotations[:8] - 2.0 + math.pi, 2 * math.pi) - math.pi)
     assert away.min() < math.radians(2.0)
+
+
+def test_a_long_wall_that_one_map_has_alone_does_not_decide_the_rotation() -> None:
+    shared = [10, 33, 75, 140, 201, 260, 312]
+
+    def surface(long_wall: int, turn: int) -> Surface:
+        degrees = np.repeat(np.array([*shared, long_wall]) + turn, [30] * len(shared) + [100])
+        angles = np.radians(degrees + 0.5)
+        normals = np.stack([np.cos(angles), np.sin(angles)], -1).astype(np.float32)
+        return Surface(np.zeros_like(normals), normals)
+
+    first = likely_rotations(surface(100, 0), surface(225, -90))[0]
+    assert math.degrees(first) == pytest.approx(90.0)
 
 
 def test_rotations_can_be_tried_in_parts() -> None:

@@ -81,11 +81,11 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
     [
         ("chance", finding(net=10.0, rival_net=5.0)),
         ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3, lines=7.0)),
-        ("chance", finding(net=60.0, rival_net=5.0, contradiction=0.3, lines=7.0)),
+        ("chance", finding(net=60.0, rival_net=5.0, contradiction=0.3, lines=7.0, tolerance_cells=3.0)),
         ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3, lines=9.0, tolerance_cells=6.0)),
         ("confidence", finding(net=60.0, rival_net=30.0, mutual_ratio=0.3, lines=9.0, keypoints=1.0)),
         ("chance", finding(net=60.0, rival_net=5.0, lines=7.0, tolerance_cells=6.0)),
-        ("chance", finding(net=90.0, rival_net=5.0, lines=7.0, ratio=0.8, mutual_ratio=0.3)),
+        ("chance", finding(net=90.0, rival_net=5.0, lines=7.0, ratio=0.8, mutual_ratio=0.3, tolerance_cells=3.0)),
         ("chance", finding(ratio=0.15, chance=0.005)),
         ("contradiction", finding(contradiction=0.7)),
         ("one direction", finding(conditioning=0.001)),
@@ -146,6 +146,20 @@ def test_few_things_that_agree_loosely_only_are_no_place(place: PreparedMap) -> 
     few = {"net": 90.0, "rival_net": 5.0, "lines": 7.0, "ratio": 0.95, "mutual_ratio": 0.3, "outside": 0.6}
     assert judged(place, finding(**few)).gate != "chance"
     assert judged(place, finding(**few, tolerance_cells=6.0)).gate == "chance"
+
+
+def test_few_walls_that_agree_closely_are_told_from_two_things_by_less_evidence(place: PreparedMap) -> None:
+    few = {"rival_net": 5.0, "lines": 7.0, "ratio": 0.6, "mutual_ratio": 0.3, "outside": 0.7}
+    assert judged(place, finding(**few, net=71.0)).accepted
+    assert judged(place, finding(**few, net=69.0)).gate == "chance"
+    assert judged(place, finding(**few, net=99.0, tolerance_cells=3.0)).gate == "chance"
+
+
+def test_few_walls_may_contradict_each_other_where_they_agree_closely_and_share_much() -> None:
+    few = GOOD | {"lines": 7.0, "contradiction": 0.3}
+    assert least_evidence(few, 0.9) == MIN_EVIDENCE
+    assert least_evidence(few | {"tolerance_cells": 3.0}, 0.9) == MORE_EVIDENCE
+    assert least_evidence(few | {"mutual_ratio": 0.3}, 0.9) == MORE_EVIDENCE
 
 
 def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: PreparedMap) -> None:
