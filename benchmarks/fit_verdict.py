@@ -111,7 +111,7 @@ def read_pairs(folder: Path) -> Iterator[Pair]:
     for record in json.loads((folder / "pairs.json").read_text()):
         if record.get("same_plan"):
             continue
-        a, b = (_grid(folder / record[side], is_binary) for side in "ab")
+        a, b = (read_grid(folder / record[side], is_binary) for side in "ab")
         T, points = None, None
         if record["M"] is not None:
             matrix = _pixels_to_m(a) @ np.vstack([record["M"], [0, 0, 1]]) @ np.linalg.inv(_pixels_to_m(b))
@@ -127,7 +127,8 @@ def _place(folder: Path, image: str) -> str:
     return (letters.group().strip("_") if letters else "") or f"{folder.name} {image}"
 
 
-def _grid(path: Path, is_binary: bool) -> OccupancyGrid:
+def read_grid(path: Path, is_binary: bool = False) -> OccupancyGrid:
+    """An 8-bit image as a map: dark is wall, bright is free; of binary ones bright is wall and the rest free."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise SystemExit(f"{path} is no image")
@@ -195,10 +196,11 @@ def _halves(pair: Pair, gap_m: float | None, rng: np.random.Generator) -> tuple[
     else:
         high = np.quantile(along_a, rng.uniform(0.3, 0.6))
         low = high + gap_m
-    return _cut(pair.a, along_a >= high), turned(_cut(pair.b, along_b <= low), rng.uniform(-math.pi, math.pi))
+    return cut(pair.a, along_a >= high), turned(cut(pair.b, along_b <= low), rng.uniform(-math.pi, math.pi))
 
 
-def _cut(grid: OccupancyGrid, gone: npt.NDArray[np.bool_]) -> OccupancyGrid:
+def cut(grid: OccupancyGrid, gone: npt.NDArray[np.bool_]) -> OccupancyGrid:
+    """The map without those of its N known cells, row by row, that are `gone` (N,)."""
     cells = grid.cells.copy()
     cells[grid.known] = np.where(gone, -1, cells[grid.known])
     return replace(grid, cells=cells)

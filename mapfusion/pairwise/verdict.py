@@ -50,6 +50,8 @@ noisy that their walls show both sides, and tell less, or these are neighbours' 
 FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
 """Where they share as few walls as two things have, nearly all of the walls must agree, and not loosely, or long ones:
 two things that stand alike in both are no place yet. Walls that agree closely need MORE_EVIDENCE only."""
+FEW_LOOSE_LINES = 12.0
+"""Fewer walls are few where they agree loosely."""
 LEAST_FIRMNESS = {1.5: 0.1, 3.0: 0.2, 6.0: 0.0}
 """Least firmness by the tolerance, cells, within which walls agree. Bent maps have little of it, and so have long
 straight walls, whose parts stay nowhere; but those agree closely."""
@@ -188,7 +190,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 
 def least_evidence(figures: Figures, trust: float) -> float:
     """The net evidence that a pose with these figures and this confidence needs."""
-    is_few, is_loose = figures["lines"] < FEW_LINES, _is_loose(figures)
+    is_loose = _is_loose(figures)
+    is_few = figures["lines"] < (FEW_LOOSE_LINES if is_loose else FEW_LINES)
     is_little, is_contradicted = _doubts(figures)
     is_sure = not is_few and (not is_loose or trust >= SURE)
     is_doubted = (is_little and (is_few or is_loose)) or (is_contradicted and not is_sure and not _is_close(figures))

@@ -148,6 +148,13 @@ def test_few_things_that_agree_loosely_only_are_no_place(place: PreparedMap) -> 
     assert judged(place, finding(**few, tolerance_cells=6.0)).gate == "chance"
 
 
+def test_loosely_agreeing_walls_must_be_more_not_to_be_few() -> None:
+    loose = GOOD | {"net": 60.0, "tolerance_cells": 6.0}
+    assert least_evidence(loose | {"lines": 12.0}, 1.0) == MIN_EVIDENCE
+    assert least_evidence(loose | {"lines": 11.9}, 1.0) == MORE_EVIDENCE
+    assert least_evidence(loose | {"lines": 11.9, "tolerance_cells": 3.0}, 1.0) == MIN_EVIDENCE
+
+
 def test_few_walls_that_agree_closely_are_told_from_two_things_by_less_evidence(place: PreparedMap) -> None:
     few = {"rival_net": 5.0, "lines": 7.0, "ratio": 0.6, "mutual_ratio": 0.3, "outside": 0.7}
     assert judged(place, finding(**few, net=71.0)).accepted
