@@ -36,7 +36,6 @@ from mapfusion.pairwise.confidence import (
     PLAUSIBILITY,
     confidence_terms,
     margin,
-    plausibility,
     plausibility_terms,
 )
 from mapfusion.pairwise.default import prepare
@@ -305,9 +304,9 @@ def table(all_judged: Sequence[Judged]) -> tuple[FloatArray, npt.NDArray[np.bool
     rows, right, counts = [], [], []
     for one in all_judged:
         assert one.is_apart is not None
-        rivals = [one.figures[k] for k in range(1, len(one.figures)) if one.is_apart[0, k]]
-        rival = max(rivals, key=plausibility, default=None)
-        rows.append(list(confidence_terms(one.figures[0], margin(one.figures[0], rival)).values()))
+        rivals = [one.figures[k] for k in range(1, len(one.figures)) if one.is_apart[0, k]] or [None]
+        least_margin = min(margin(one.figures[0], rival) for rival in rivals)
+        rows.append(list(confidence_terms(one.figures[0], least_margin).values()))
         right.append(one.is_right[0])
         counts.append(not one.is_near[0])
     return np.array(rows), np.array(right), np.array(counts)
@@ -375,7 +374,7 @@ def main() -> None:
     rng = np.random.default_rng(args.seed)
     whole = [pair for folder in args.folders for pair in read_pairs(folder)]
     of_one_place = [pair for pair in whole if pair.T_a_b is not None]
-    cut = [
+    parts = [
         view
         for pair in of_one_place
         if pair.kind not in ("paper", "lidar")
@@ -384,7 +383,7 @@ def main() -> None:
     bent = [view for pair in of_one_place if pair.kind != "paper" for view in bent_views(pair, 2, rng)]
     again = [pair for pair in whole if pair.kind not in ("paper", "lidar")]
     of_generators = simulated(args.simulated, args.unrelated)
-    made = [with_noise(pair, rng) for pair in (*again, *cut, *bent, *of_generators)]
+    made = [with_noise(pair, rng) for pair in (*again, *parts, *bent, *of_generators)]
     with ProcessPoolExecutor(args.jobs) as executor:
         judged = list(executor.map(judge, [*whole, *made], chunksize=4))
     report([one for one in judged if one.figures])

@@ -1,6 +1,7 @@
 """False merges among maps of different places: every map of a folder against every other place's.
 
-Run: python benchmarks/strangers.py ../shared/data/pairs/real --one-building gdc carkit rail jsk_eng2 jsk_eng6 jsk_eng8
+Run: python benchmarks/strangers.py ../shared/data/pairs/real \
+    --one-building gdc carkit rail jsk_eng2 jsk_eng6 jsk_eng8 kobuki
 
 Maps are 8-bit images as the bench has them. Those whose names differ by a last number show one place; names that begin
 alike as `--one-building` says may, and are not compared either.
@@ -11,7 +12,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-import sys
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -19,9 +19,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from damage import flipped, jittered
 from fit_verdict import cut, read_grid, turned
 
@@ -75,11 +72,14 @@ def main() -> None:
     maps = sorted(args.folder.glob("*.png"))
     names = {path: place(path.stem, args.one_building) for path in maps}
     pairs = [(a, b) for a, b in itertools.combinations(maps, 2) if names[a] != names[b]]
+    if not pairs:
+        raise SystemExit(f"{args.folder} has no two maps of different places")
     with ProcessPoolExecutor(args.jobs) as executor:
         for variant in args.variants:
-            jobs = [(a, b, variant, seed) for seed in args.seeds for a, b in pairs]
+            seeds = args.seeds[:1] if variant == "plain" else args.seeds
+            jobs = [(a, b, variant, seed) for seed in seeds for a, b in pairs]
             found = list(executor.map(attempt, jobs, chunksize=16))
-            surest = max(one.confidence for one in found if not one.accepted)
+            surest = max((one.confidence for one in found if not one.accepted), default=0.0)
             num_joined = sum(one.accepted for one in found)
             print(f"{variant:15} {len(jobs)} pairs, {num_joined} joined, surest other {surest:.2f}", flush=True)
             for (a, b, _, seed), one in zip(jobs, found, strict=True):

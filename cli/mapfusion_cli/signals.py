@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from types import FrameType
+from collections.abc import Callable, Iterator
+from types import CodeType, FrameType
 
 AGAIN_AFTER_S = 0.01
-"""Before a signal is sent again whose exception was lost; the function that lost it has returned by then."""
+"""Between two signals that stand for one whose exception was forgotten: by then the function that forgot it has
+returned, or forgets the next one as well."""
 
 
 class _Terminated(SystemExit):
-    """Raised where the signal finds the program."""
+    """Raised where a signal finds the program."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(128 + signum)
@@ -31,37 +31,61 @@ def unwinding() -> Iterator[None]:
 
     Raises:
         SystemExit: A signal came; 128 and its number is the exit code.
+        KeyboardInterrupt: Ctrl-C.
     """
+    heeded_again: list[threading.Event] = []
 
-    def terminate(signum: int, frame: FrameType | None) -> None:
-        raise _Terminated(signum)
+    def send_again(signum: int) -> None:
+        if all(heeded.is_set() for heeded in heeded_again):  # one at a time: a second would interrupt the unwinding
+            heeded_again.append(threading.Event())
+            threading.Thread(target=_send_until, args=(heeded_again[-1], signum), daemon=True).start()
 
-    def send_again(lost: sys.UnraisableHookArgs) -> None:
+    def unwind(signum: int, frame: FrameType | None) -> None:
+        if _is_within(frame, on_forgotten.__code__):  # whatever is raised there is forgotten too
+            send_again(signum)
+            return
+        for heeded in heeded_again:
+            heeded.set()
+        raise KeyboardInterrupt if signum == signal.SIGINT else _Terminated(signum)
+
+    def on_forgotten(lost: sys.UnraisableHookArgs) -> None:
         if isinstance(lost.exc_value, _Terminated):
-            _send_later(lost.exc_value.signum)
+            send_again(lost.exc_value.signum)
         elif isinstance(lost.exc_value, KeyboardInterrupt):
-            _send_later(signal.SIGINT)
+            send_again(signal.SIGINT)
         else:
             hook_before(lost)
 
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
-    before = {getattr(signal, name): signal.getsignal(getattr(signal, name)) for name in names}
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
+    numbers = [getattr(signal, name) for name in names]
+    not_ignored = [number for number in numbers if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+    before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
     hook_before = sys.unraisablehook
-    sys.unraisablehook = send_again
-    for signum, handler in before.items():
-        if handler not in (signal.SIG_IGN, None):
-            signal.signal(signum, terminate)
     try:
+        sys.unraisablehook = on_forgotten
+        for number in not_ignored:
+            before[number] = signal.getsignal(number)
+            signal.signal(number, unwind)
         yield
     finally:
-        for signum, handler in before.items():
-            signal.signal(signum, handler or signal.SIG_DFL)
+        for heeded in heeded_again:
+            heeded.set()
+        for number, handler in before.items():
+            signal.signal(number, handler)
         sys.unraisablehook = hook_before
 
 
-def _send_later(signum: int) -> None:
-    """To this process, which wakes the main thread where it waits; Windows' own `kill` would end it at once."""
-    send = signal.raise_signal if os.name == "nt" else lambda number: os.kill(os.getpid(), number)
-    timer = threading.Timer(AGAIN_AFTER_S, send, [signum])
-    timer.daemon = True
-    timer.start()
+def _is_within(frame: FrameType | None, code: CodeType) -> bool:
+    """Whether the frame is one of `code`, or was called from one."""
+    while frame is not None and frame.f_code is not code:
+        frame = frame.f_back
+    return frame is not None
+
+
+def _send_until(heeded: threading.Event, signum: int) -> None:
+    """Sends to the main thread, which wakes it where it waits, again and again."""
+    while not heeded.wait(AGAIN_AFTER_S):
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, signum)
+        else:
+            signal.raise_signal(signum)

@@ -53,10 +53,10 @@ MAX_LINES = 20.0
 MAX_OUTSIDE = 0.7
 """More walls outside the common area than this tell no more."""
 MAX_MARGIN = 4.0
-"""Plausibility over a rival's from which on it is none."""
+"""Margin over a rival from which on it is none."""
 BEHIND_SHARE, BEHIND_WEIGHT = 0.5, 3.0
 """Where the best pose has more evidence than plausibility counts, a rival with less than the first of it falls behind
-by the second for each natural logarithm."""
+by the second for each natural logarithm, as far as the first of MAX_RANKED_NET: below that, plausibility sees it."""
 MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
 """Less firmness than the first and more than the second tells no more. With less than the first, maps that are not bent
 are not joined."""
@@ -94,14 +94,17 @@ def plausibility(figures: Figures) -> float:
 
 
 def margin(best: Figures, rival: Figures | None) -> float:
-    """Plausibility over that of the best different alignment, and how far that falls behind, in [0, MAX_MARGIN]."""
+    """How clearly the best pose is to be preferred to a different one, in [0, MAX_MARGIN].
+
+    Their difference in plausibility, a log-odds, and how far the rival falls behind in evidence that plausibility no
+    longer counts. Without a rival MAX_MARGIN.
+    """
     if rival is None:
         return MAX_MARGIN
-    ahead = max(plausibility(best) - plausibility(rival), 0.0)
-    if best["net"] > MAX_RANKED_NET:
-        share = max(rival["net"], 1.0) / best["net"]
-        ahead += BEHIND_WEIGHT * max(math.log(BEHIND_SHARE / share), 0.0)
-    return min(ahead, MAX_MARGIN)
+    ahead = plausibility(best) - plausibility(rival)
+    still_seen = max(rival["net"], BEHIND_SHARE * MAX_RANKED_NET)
+    ahead += BEHIND_WEIGHT * _log(BEHIND_SHARE * best["net"] / still_seen)
+    return min(max(ahead, 0.0), MAX_MARGIN)
 
 
 def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:

@@ -133,7 +133,7 @@ def likely_rotations(target: Surface, source: Surface) -> npt.NDArray[np.float64
 def _directions(surface: Surface) -> npt.NDArray[np.float64]:
     """(360,) root of how much wall faces each whole degree, blurred, with mean 0.
 
-    By the root a few long walls, which the other map need not share, do not outweigh all others.
+    By the root a few long walls, which the other map need not share, outweigh the others less.
     """
     degrees = np.degrees(np.arctan2(surface.normals[:, 1], surface.normals[:, 0]))
     counts = np.bincount(np.floor(degrees).astype(np.int64) % 360, minlength=360).astype(np.float64)

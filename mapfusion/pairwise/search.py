@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from mapfusion.pairwise.confidence import plausibility
+from mapfusion.pairwise.confidence import margin, plausibility
 from mapfusion.pairwise.correlation import correlate
 from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.firmness import firmness
@@ -115,12 +115,12 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """The best pose of the source in the target, and the best one that is distinctly different.
+    """The best pose of the source in the target, and the distinctly different one that comes nearest to it.
 
     Attributes:
         best: The best pose.
         information: (3, 3) information matrix about the source's centre, in cells and radians, per wall cell.
-        rival: The best distinctly different pose; None where there is none, or none was looked for.
+        rival: The distinctly different pose that comes nearest to it; None where there is none, or none was looked for.
         is_searched: Whether other poses were looked for.
         num_matches: Keypoint matches used.
         num_inliers: Those that agree with the best pose.
@@ -208,7 +208,7 @@ def examine(
     off = squared_offsets(target.features, source.features, matches, found.best.pose)
     return replace(
         found,
-        rival=next((one for one, is_apart in zip(candidates, apart, strict=True) if is_apart), None),
+        rival=_nearest(found.best, [one for one, is_apart in zip(candidates, apart, strict=True) if is_apart]),
         is_searched=True,
         num_matches=len(matches),
         num_inliers=int(np.count_nonzero(off <= NEAR_INLIER_CELLS**2)),
@@ -222,14 +222,19 @@ def is_promising(hypotheses: Hypotheses) -> bool:
 
 
 def with_rivals_of(finding: Finding, other: Finding, target: PreparedMap, source: PreparedMap) -> Finding:
-    """The finding with the most plausible rival that it or another search of the same maps found."""
+    """The finding with the nearest rival that it or another search of the same maps found."""
     rivals = [one for one in (finding.rival, other.rival, other.best) if one is not None]
     if not rivals:
         return finding
     poses, cells = np.array([one.pose for one in rivals]), distinct_cells(target, source)
     (apart,) = differ(finding.best.pose[None], poses, source.centre, cells, DISTINCT_DEGREES)
     rivals = [one for one, is_apart in zip(rivals, apart, strict=True) if is_apart]
-    return replace(finding, rival=max(rivals, key=lambda one: one.plausibility, default=None))
+    return replace(finding, rival=_nearest(finding.best, rivals))
+
+
+def _nearest(best: Candidate, rivals: list[Candidate]) -> Candidate | None:
+    """The rival over which the margin is least; of equal ones the most plausible."""
+    return min(rivals, key=lambda one: (margin(best.figures, one.figures), -one.plausibility), default=None)
 
 
 def with_firmness(finding: Finding, target: PreparedMap, source: PreparedMap) -> Finding:

@@ -10,6 +10,7 @@ from mapfusion.pairwise.confidence import (
     MAX_FIRMNESS,
     MAX_MARGIN,
     MIN_FIRMNESS,
+    RIGID_TOLERANCE_CELLS,
     Figures,
     confidence,
     margin,
@@ -28,8 +29,8 @@ MAX_CONTRADICTION, SOME_CONTRADICTION = 0.6, 0.2
 """Most walls in the other map's free space, as a share of what chance would put there; the share from which on more
 evidence is asked for."""
 MIN_MARGIN, SLIDING_MARGIN = 0.5, 2.0
-"""Least plausibility over that of the best different alignment: below it the two are the same to us. The second where
-the walls hold one direction so weakly that the pose may slide."""
+"""Least margin over the nearest different alignment: below it the two are the same to us. The second where the walls
+hold one direction so weakly that the pose may slide."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_CONFIDENCE = 0.86
@@ -47,11 +48,11 @@ Maps that share little and contradict each other too need it."""
 MUCH_OPPOSITE, VERY_SURE = 0.1, 0.95
 """With more than this share of walls on walls seen from the other side so much confidence is needed: either maps are so
 noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
-FEW_LINES, MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 8.0, 0.9, 100.0
-"""Where they share as few walls as two things have, nearly all of the walls must agree, and not loosely, or long ones:
-two things that stand alike in both are no place yet. Walls that agree closely need MORE_EVIDENCE only."""
-FEW_LOOSE_LINES = 12.0
-"""Fewer walls are few where they agree loosely."""
+FEW_LINES, FEW_LOOSE_LINES = 8.0, 12.0
+"""Fewer walls are few: as many as two things have. The second where they agree loosely."""
+MIN_RATIO_OF_FEW, MUCH_EVIDENCE = 0.9, 100.0
+"""Where maps share little, and few walls of it, nearly all of the walls must agree, and not loosely, or long ones: two
+things that stand alike in both are no place yet. Walls that agree closely need MORE_EVIDENCE only."""
 LEAST_FIRMNESS = {1.5: 0.1, 3.0: 0.2, 6.0: 0.0}
 """Least firmness by the tolerance, cells, within which walls agree. Bent maps have little of it, and so have long
 straight walls, whose parts stay nowhere; but those agree closely."""
@@ -149,8 +150,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "chance", (
             f"one or two things that stand alike in both maps: about {figures['lines']:.0f} different walls agree and "
             f"{figures['mutual_ratio']:.0%} of the smaller map is in common, so {MIN_RATIO_OF_FEW:.0%} of the walls "
-            f"would have to, or the evidence to be {_evidence_of_few(figures):.0f} (is {figures['net']:.0f}); "
-            f"{agreement}"
+            f"would have to, or the evidence to be {MUCH_EVIDENCE:.0f} (is {figures['net']:.0f}); {agreement}"
         )
     if figures["conditioning"] < MIN_CONDITIONING:
         return "one direction", (
@@ -164,8 +164,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         )
     least_margin = SLIDING_MARGIN if figures["conditioning"] < SLIDING_CONDITIONING else MIN_MARGIN
     least_trust = least_confidence(figures)
-    is_close = _margin(finding) < least_margin or trust < least_trust <= confidence(figures, MAX_MARGIN)
-    if finding.rival is not None and is_close:
+    is_rivalled = _margin(finding) < least_margin or trust < least_trust <= confidence(figures, MAX_MARGIN)
+    if finding.rival is not None and is_rivalled:
         return "ambiguous", (
             "a second, different alignment explains the maps almost as well "
             f"({_rival_ratio(finding):.2f} of the evidence); the best: {agreement}"
@@ -190,8 +190,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 
 def least_evidence(figures: Figures, trust: float) -> float:
     """The net evidence that a pose with these figures and this confidence needs."""
-    is_loose = _is_loose(figures)
-    is_few = figures["lines"] < (FEW_LOOSE_LINES if is_loose else FEW_LINES)
+    is_few, is_loose = _are_few(figures), _is_loose(figures)
     is_little, is_contradicted = _doubts(figures)
     is_sure = not is_few and (not is_loose or trust >= SURE)
     is_doubted = (is_little and (is_few or is_loose)) or (is_contradicted and not is_sure and not _is_close(figures))
@@ -212,13 +211,14 @@ def _doubts(figures: Figures) -> tuple[bool, bool]:
 
 def are_few_things(figures: Figures) -> bool:
     """Whether what agrees may be one or two things that stand alike in two places."""
-    is_little = figures["mutual_ratio"] < SMALL_OVERLAP and figures["lines"] < FEW_LINES
+    if _is_close(figures) or figures["mutual_ratio"] >= SMALL_OVERLAP or not _are_few(figures):
+        return False
     agree = figures["ratio"] >= MIN_RATIO_OF_FEW and not _is_loose(figures)
-    return is_little and not agree and figures["net"] < _evidence_of_few(figures)
+    return not agree and figures["net"] < MUCH_EVIDENCE
 
 
-def _evidence_of_few(figures: Figures) -> float:
-    return MORE_EVIDENCE if _is_close(figures) else MUCH_EVIDENCE
+def _are_few(figures: Figures) -> bool:
+    return figures["lines"] < (FEW_LOOSE_LINES if _is_loose(figures) else FEW_LINES)
 
 
 def may_turn_on_parts(finding: Finding) -> bool:
@@ -244,8 +244,8 @@ def _least_firmness(figures: Figures) -> float:
 
 
 def _is_close(figures: Figures) -> bool:
-    """Whether walls agree best at the closest tolerance."""
-    return figures["tolerance_cells"] <= min(TOLERANCES_CELLS)
+    """Whether walls agree closely, as those of one rigid place do."""
+    return figures["tolerance_cells"] <= RIGID_TOLERANCE_CELLS
 
 
 def _is_loose(figures: Figures) -> bool:

@@ -136,6 +136,24 @@ def test_a_rival_that_falls_far_behind_counts_less_where_plausibility_cannot_tel
     assert margin(less, less | {"net": 20.0}) == pytest.approx(plausibility(less) - plausibility(less | {"net": 20.0}))
 
 
+@pytest.mark.parametrize("rival_net", [10.0, 30.0, 49.0])
+def test_the_margin_grows_steadily_with_the_evidence(rival_net: float) -> None:
+    def over_rival(net: float) -> float:
+        return margin(FIGURES | {"net": net}, FIGURES | {"net": rival_net, "lines": FIGURES["lines"] + 5.0})
+
+    assert over_rival(100.001) == pytest.approx(over_rival(100.0), abs=1e-3)
+    assert over_rival(100.0) < over_rival(110.0) < MAX_MARGIN
+
+
+def test_evidence_beyond_what_counts_makes_up_for_a_more_plausible_rival() -> None:
+    best = FIGURES | {"net": 400.0, "keypoints": 1.0}
+    behind = best | {"net": 150.0, "keypoints": 1.5}
+    assert plausibility(behind) > plausibility(best)
+    ahead = plausibility(best) - plausibility(behind) + 3.0 * math.log(200.0 / 150.0)
+    assert margin(best, behind) == pytest.approx(ahead)
+    assert margin(best, behind | {"keypoints": 3.0}) == 0.0
+
+
 def test_nothing_at_all_is_no_error_and_no_confidence() -> None:
     nothing = dict.fromkeys(FIGURES, 0.0)
     assert confidence(nothing, 0.0) < 0.001

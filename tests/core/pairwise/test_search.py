@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,12 +24,21 @@ def candidate(x_cells: float, lines: float) -> Candidate:
     return Candidate(np.array([x_cells, 0.0, 0.0]), GOOD | {"lines": lines})
 
 
-def test_the_most_plausible_rival_of_either_search_counts(place: PreparedMap) -> None:
+def test_the_nearest_rival_of_either_search_counts(place: PreparedMap) -> None:
     best, weak, strong = candidate(0.0, 30.0), candidate(60.0, 5.0), candidate(120.0, 20.0)
     finding = Finding(best, np.eye(3), weak, is_searched=True)
     other = Finding(candidate(1.0, 31.0), np.eye(3), strong, is_searched=True)
     assert with_rivals_of(finding, other, place, place).rival is strong
     assert with_rivals_of(finding, Finding(strong, np.eye(3), best), place, place).rival is strong
+
+
+def test_a_rival_with_as_much_evidence_is_nearer_than_a_more_plausible_one_with_little(place: PreparedMap) -> None:
+    best, much, little = candidate(0.0, 30.0), candidate(60.0, 19.0), candidate(120.0, 20.0)
+    little = replace(little, figures=little.figures | {"net": 105.0})
+    assert little.plausibility > much.plausibility
+    for first, second in ((much, little), (little, much)):
+        finding = Finding(best, np.eye(3), first, is_searched=True)
+        assert with_rivals_of(finding, Finding(best, np.eye(3), second), place, place).rival is much
 
 
 def test_what_is_the_same_alignment_is_no_rival(place: PreparedMap) -> None:

@@ -17,6 +17,7 @@ from mapfusion.pairwise.verdict import (
     MORE_EVIDENCE,
     SURE,
     VERY_SURE,
+    are_few_things,
     judge,
     least_confidence,
     least_evidence,
@@ -155,11 +156,17 @@ def test_loosely_agreeing_walls_must_be_more_not_to_be_few() -> None:
     assert least_evidence(loose | {"lines": 11.9, "tolerance_cells": 3.0}, 1.0) == MIN_EVIDENCE
 
 
-def test_few_walls_that_agree_closely_are_told_from_two_things_by_less_evidence(place: PreparedMap) -> None:
+def test_few_walls_are_told_from_two_things_by_more_evidence_where_they_do_not_agree_closely(
+    place: PreparedMap,
+) -> None:
     few = {"rival_net": 5.0, "lines": 7.0, "ratio": 0.6, "mutual_ratio": 0.3, "outside": 0.7}
     assert judged(place, finding(**few, net=71.0)).accepted
     assert judged(place, finding(**few, net=69.0)).gate == "chance"
-    assert judged(place, finding(**few, net=99.0, tolerance_cells=3.0)).gate == "chance"
+    assert not are_few_things(GOOD | few | {"net": 71.0})
+    assert are_few_things(GOOD | few | {"net": 99.0, "tolerance_cells": 3.0})
+    assert not are_few_things(GOOD | few | {"net": 101.0, "tolerance_cells": 3.0})
+    assert are_few_things(GOOD | few | {"net": 99.0, "tolerance_cells": 6.0, "lines": 11.0})
+    assert not are_few_things(GOOD | few | {"net": 99.0, "tolerance_cells": 3.0, "lines": 11.0})
 
 
 def test_few_walls_may_contradict_each_other_where_they_agree_closely_and_share_much() -> None:
