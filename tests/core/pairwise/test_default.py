@@ -68,7 +68,7 @@ def off_m(pair: StudyPair, result: PairFusion) -> float:
 def test_a_thorough_search_finds_what_a_quick_one_misses() -> None:
     """Which pairs these are depends on the keypoints, which differ from one OpenCV to the next."""
     num_found = 0
-    for seed in (95000529, 95000538):
+    for seed in (95000529, 76000519):
         pair = make_pair("floor-plans", True, seed)
         maps = prepare(pair.target, 0.05), prepare(pair.source, 0.05)
         result = fuse(*maps, FusionConfig())
