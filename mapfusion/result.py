@@ -32,7 +32,7 @@ class PairFusion:
         scale: Scale that the matches would like, 1 where the resolutions are right; None where it was not fitted.
         covariance: (3, 3) of (x_m, y_m, yaw_rad) of `T_target_source`, in the target's frame; None without a candidate.
         resolution_m: Cell size at which the two maps were compared.
-        rival: The best distinctly different transform, where it came close enough to matter.
+        rival: The distinctly different transform that comes nearest, where it came close enough to matter.
         evidence: Further figures by name, with the unit in the name where there is one.
     """
 
