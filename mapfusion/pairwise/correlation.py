@@ -12,13 +12,14 @@ Sources: orientation correlation, Fitch et al., BMVC 2002; the Hough spectrum, C
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import product
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.pairwise.poses import Poses, pose_from_centre
+from mapfusion.pairwise.poses import Poses, pose_from_centre, turned
 from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats, Indices, Points, Surface, SurfaceField
 
 Places = npt.NDArray[np.floating]
@@ -64,36 +65,36 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, first: 
     deep = deep[((deep >= low) & (deep <= high)).all(axis=1)]
     deep_arms = deep_arms[((deep_arms >= arms_low) & (deep_arms <= arms_high)).all(axis=1)]
 
-    R = np.stack([np.cos(rotations), np.sin(rotations), -np.sin(rotations), np.cos(rotations)], -1)
-    R = R.reshape(-1, 2, 2).astype(np.float32)  # of row vectors
-    corners = np.array([[x, y] for x in (arms_low[0], arms_high[0]) for y in (arms_low[1], arms_high[1])]) @ R
-    starts, extents = corners.min(axis=1), np.ptp(corners, axis=1)
+    c, s = np.cos(rotations), np.sin(rotations)
+    R = np.array([[c, -s], [s, c]], np.float32).transpose(2, 0, 1)
+    box = np.array([[x, y] for x in (arms_low[0], arms_high[0]) for y in (arms_low[1], arms_high[1])], np.float32)
+    corners = R @ box.T
+    starts, extents = corners.min(axis=-1), np.ptp(corners, axis=-1)
     both = np.stack([high - low, extents.max(axis=0)])
     edges = both.max(axis=0) + MIN_UNWRAPPED * both.min(axis=0)
     stride = np.float32(max(MIN_STRIDE, math.ceil(edges.max() / (MAX_SIZE - 2))))
-    width, height = (cv2.getOptimalDFTSize(math.ceil(edge / stride) + 2) for edge in edges)
+    width, height = (_fast_size(math.ceil(edge / stride) + 2) for edge in edges)
     shape = height, width
 
-    x, y, rim, free = _images((there.points - low) / stride, there.normals, (deep - low) / stride, shape)
+    at = _cells(((there.points - low) / stride).T[None], shape)
+    deep_at = _cells(((deep - low) / stride).T[None], shape)
+    ((normals, walls),) = _images(at, there.normals.T[None], deep_at, shape)
+    normals = cv2.GaussianBlur(normals, (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT)
     # A wall that agrees brings as much as there is of the other map's walls in its coarse cell.
     of_cell = CONTRADICTION_WEIGHT * (MIN_STRIDE / stride) ** 2
-    free *= of_cell * _density((there.points - low) / stride)
-    rim *= of_cell * _density((arms - arms_low) / stride)
-    blurred = [cv2.GaussianBlur(image, (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT) for image in (x, y)]
-    of_target = [cv2.dft(image) for image in (*blurred, free, rim)]
+    walls *= of_cell * np.array([_density((arms - arms_low) / stride), _density((there.points - low) / stride)])
+    # A wall of one map counts where it meets what is deep in the other.
+    of_target = [np.conj(_spectrum(image)) for image in (normals, np.ascontiguousarray(walls[..., ::-1]))]
     peaks: list[tuple[int, int]] = []
-    for turn, start in zip(R, starts, strict=True):
-        at, deep_at = ((each @ turn - start) / stride for each in (arms, deep_arms))
-        images = _images(at, here.normals @ turn, deep_at, shape)
-        of_source = [cv2.dft(image) for image in images]
-        in_x, in_y, in_free, in_rim = map(_correlation, of_target, of_source)
-        agreeing = in_x + in_y
-        for spectrum in (agreeing, agreeing - in_free - in_rim):
-            peaks += _peaks(np.asarray(cv2.dft(spectrum, flags=cv2.DFT_INVERSE), np.float32))
-    turned = np.arange(len(rotations)).repeat(len(peaks) // len(rotations))
-    of_peak, shift = _unwrapped(np.array(peaks), (high - low) / stride, extents[turned] / stride, (width, height))
-    turned = turned[of_peak]
-    return pose_from_centre(rotations[turned], shift * stride - starts[turned] + low, centre)
+    at, deep_at = (_cells((turned(R, each) - starts[..., None]) / stride, shape) for each in (arms, deep_arms))
+    for images in _images(at, turned(R, here.normals), deep_at, shape):
+        agreeing, contradicting = (_correlation(*both) for both in zip(of_target, images, strict=True))
+        for score in (agreeing, agreeing - contradicting):
+            peaks += _peaks(score)
+    by = np.arange(len(rotations)).repeat(len(peaks) // len(rotations))
+    of_peak, shift = _unwrapped(np.array(peaks), (high - low) / stride, extents[by] / stride, (width, height))
+    by = by[of_peak]
+    return pose_from_centre(rotations[by], shift * stride - starts[by] + low, centre)
 
 
 def _unwrapped(
@@ -153,29 +154,28 @@ def _deep(field: SurfaceField) -> Points:
     return np.stack([cols, rows], axis=-1).astype(np.float32) * MIN_STRIDE + np.float32(MIN_STRIDE // 2 + 0.5)
 
 
-def _images(
-    at: Places, normals: Floats, deep_at: Places, shape: tuple[int, int]
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Images of the rim's normals in x and in y, of its points, and of the deep free cells."""
-    cells = _cells(at, shape)
-    return (
-        _image(cells, shape, normals[:, 0]),
-        _image(cells, shape, normals[:, 1]),
-        _image(cells, shape),
-        _image(_cells(deep_at, shape), shape),
-    )
-
-
-def _cells(at: Places, shape: tuple[int, int]) -> Indices:
-    """(N,) flat index of the cell of an image in which each point (N, 2) lies."""
+def _cells(at: Floats, shape: tuple[int, int]) -> Indices:
+    """(K, N) flat index of the cell of an image in which each point (K, 2, N) lies."""
     cells = at.astype(np.int32)
     flat: Indices = cells[:, 1] * shape[1] + cells[:, 0]
     return flat
 
 
-def _image(cells: Indices, shape: tuple[int, int], values: Floats | None = None) -> Floats:
-    """An image of the sums of the values in each cell, or of how many there are."""
-    return np.bincount(cells, values, shape[0] * shape[1]).astype(np.float32).reshape(shape)
+def _images(cells: Indices, normals: Floats, deep_cells: Indices, shape: tuple[int, int]) -> Iterator[Floats]:
+    """Two images (2, H, W, 2) for each of K rotations: the rim's normals in x and y, and its points and deep cells.
+
+    Args:
+        cells: (K, N) flat index of the cell of each point.
+        normals: (K, 2, N) of the points.
+        deep_cells: (K, M) flat index of the cell of each place that is deep in free space.
+        shape: Of the images.
+    """
+    num_cells = shape[0] * shape[1]
+    places = np.concatenate([2 * cells, 2 * cells + 1, 2 * (cells + num_cells), 2 * (deep_cells + num_cells) + 1], 1)
+    counts = np.ones((len(cells), cells.shape[1] + deep_cells.shape[1]), np.float32)
+    values = np.concatenate([normals[:, 0], normals[:, 1], counts], 1)
+    for place, value in zip(places, values, strict=True):
+        yield np.bincount(place, value, 4 * num_cells).astype(np.float32).reshape(2, *shape, 2)
 
 
 def _density(at: Places) -> np.float32:
@@ -184,9 +184,24 @@ def _density(at: Places) -> np.float32:
     return np.float32(len(at) / len(np.unique(y * (x.max() + 1) + x)))
 
 
-def _correlation(one: cv2.typing.MatLike, other: cv2.typing.MatLike) -> Floats:
-    """Spectrum of the cross-correlation of two images, given theirs."""
-    return np.asarray(cv2.mulSpectrums(one, other, 0, conjB=True), np.float32)
+def _fast_size(size: int) -> int:
+    """The next larger size, or the same, whose transform takes little time."""
+    return 16 * cv2.getOptimalDFTSize(math.ceil(size / 16))
+
+
+def _spectrum(image: Floats) -> npt.NDArray[np.complex64]:
+    """(H, W) of an image (H, W, 2) of complex numbers."""
+    return np.asarray(cv2.dft(image), np.float32).view(np.complex64)[..., 0]
+
+
+def _correlation(conjugate: npt.NDArray[np.complex64], image: Floats) -> Floats:
+    """(H, W) sum of both channels' cross-correlations, of one image with two channels given as its conjugate spectrum.
+
+    The real part of the correlation of complex numbers adds those of their real and of their imaginary parts, and the
+    transform of a conjugate is the conjugate of the inverse transform.
+    """
+    product = conjugate * _spectrum(image)
+    return np.asarray(cv2.extractChannel(cv2.dft(product.view(np.float32).reshape(image.shape)), 0), np.float32)
 
 
 def _peaks(score: Floats) -> list[tuple[int, int]]:

@@ -30,6 +30,8 @@ SETTLED = 0.98
 """A join that a search is less sure of than this must stand against the rivals that a more thorough one finds."""
 HOPELESS = 0.01
 """Where a quick search of maps that are not vast is less sure than this, a thorough one finds next to nothing."""
+GLANCE_OUTLOOK, QUICK_OUTLOOK = 0.9, 0.05
+"""Least confidence that the first looks must leave possible for a glance, and for a quick search, to go on."""
 
 
 def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thorough: bool = True) -> PairFusion:
@@ -52,13 +54,15 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     matches = match(target.features, source.features)
     proposed = propose(target, source, matches, GLANCE)
     if is_promising(proposed):
-        glance = _judged(target, source, config, examine(target, source, proposed, matches, GLANCE))
+        found = examine(target, source, proposed, matches, GLANCE, GLANCE_OUTLOOK)
+        glance = _judged(target, source, config, found)
         if glance.accepted and glance.confidence >= SETTLED:
             return glance
     proposed = proposed.joined(propose(target, source, matches, QUICK, before=GLANCE))
-    quickly = examine(target, source, proposed, matches, QUICK)
+    may_be_hopeless = not are_vast(target, source)
+    quickly = examine(target, source, proposed, matches, QUICK, QUICK_OUTLOOK if may_be_hopeless else 0.0)
     quick = _judged(target, source, config, quickly)
-    is_hopeless = quick.confidence < HOPELESS and not are_vast(target, source)
+    is_hopeless = may_be_hopeless and (quickly.is_hopeless or quick.confidence < HOPELESS)
     is_settled = quick.confidence >= SETTLED if quick.accepted else is_hopeless or not is_thorough
     if is_settled:
         return quick

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.pairwise.poses import Poses, inverse, moved, rotations
+from mapfusion.pairwise.poses import Poses, inverse, moved, rotations, turned
 from mapfusion.pairwise.surface import Floats, Indices, Surface, SurfaceField
 
 SAME_SIDE_COSINE = 0.5
@@ -47,9 +47,9 @@ class Encounters:
 def encounters(field: SurfaceField, surface: Surface, poses: Poses) -> Encounters:
     """What the points of `surface` meet in `field` under `poses` (K, 3)."""
     R = rotations(poses)
-    arms = R @ surface.points.T
+    arms = turned(R, surface.points)
     points = arms + poses[:, :2, None].astype(np.float32)
-    turned = R @ surface.normals.T
+    facing = turned(R, surface.normals)
     cells = field.cells_below(points)
     wall = field.walls.take(field.nearest.ravel().take(cells), axis=1)
     dx, dy, nx, ny = points[:, 0] - wall[0], points[:, 1] - wall[1], wall[2], wall[3]
@@ -59,7 +59,7 @@ def encounters(field: SurfaceField, surface: Surface, poses: Poses) -> Encounter
         lines=wall[2:].transpose(1, 0, 2),
         gap=dx * nx + dy * ny,
         squared=dx * dx + dy * dy,
-        same_side=turned[:, 0] * nx + turned[:, 1] * ny > SAME_SIDE_COSINE,
+        same_side=facing[:, 0] * nx + facing[:, 1] * ny > SAME_SIDE_COSINE,
     )
 
 

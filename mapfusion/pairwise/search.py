@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from mapfusion.pairwise.confidence import margin, plausibility
+from mapfusion.pairwise.confidence import MAX_FIRMNESS, MAX_MARGIN, confidence, margin, plausibility
 from mapfusion.pairwise.correlation import correlate
 from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.firmness import firmness
@@ -43,6 +43,8 @@ PROMISING_EVIDENCE = 40.0
 keypoints propose and that join their maps 97 % have as much, of the best poses of other pairs a quarter."""
 WORTH_SHARE = 0.2
 """A pose with less than this share of the best one's evidence is not looked at more closely."""
+NUM_FIRST_LOOKS = 2
+"""So many poses, those with the most evidence, say what may come of a pair."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +124,7 @@ class Finding:
         information: (3, 3) information matrix about the source's centre, in cells and radians, per wall cell.
         rival: The distinctly different pose that comes nearest to it; None where there is none, or none was looked for.
         is_searched: Whether other poses were looked for.
+        is_hopeless: Whether the search ended early, as no look at further poses and no polish would have mattered.
         num_matches: Keypoint matches used.
         num_inliers: Those that agree with the best pose.
         num_keypoints: Of the target and of the source; 0 where none were looked for.
@@ -131,6 +134,7 @@ class Finding:
     information: Poses
     rival: Candidate | None = None
     is_searched: bool = False
+    is_hopeless: bool = False
     num_matches: int = 0
     num_inliers: int = 0
     num_keypoints: tuple[int, int] = (0, 0)
@@ -198,11 +202,25 @@ def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) ->
 
 
 def examine(
-    target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, matches: Matches, effort: Effort = QUICK
+    target: PreparedMap,
+    source: PreparedMap,
+    hypotheses: Hypotheses,
+    matches: Matches,
+    effort: Effort = QUICK,
+    worth: float = 0.0,
 ) -> Finding:
-    """The best of the hypotheses, refined, with its evidence and its rival."""
-    candidates = refine_and_rank(target, source, hypotheses, matches, effort)
-    found = with_firmness(recheck(target, source, candidates[0].pose, matches), target, source)
+    """The best of the hypotheses, refined, with its evidence and its rival.
+
+    Where the best of them cannot come to a confidence of `worth` the search ends early.
+    """
+    candidates = refine_and_rank(target, source, hypotheses, matches, effort, worth)
+    is_hopeless = _outlook(candidates) < worth
+    found = (
+        _as_it_is(target, source, candidates[0])
+        if is_hopeless
+        else recheck(target, source, candidates[0].pose, matches)
+    )
+    found = with_firmness(found, target, source)
     others = np.array([one.pose for one in candidates])
     (apart,) = differ(others[:1], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
     off = squared_offsets(target.features, source.features, matches, found.best.pose)
@@ -210,10 +228,16 @@ def examine(
         found,
         rival=_nearest(found.best, [one for one, is_apart in zip(candidates, apart, strict=True) if is_apart]),
         is_searched=True,
+        is_hopeless=is_hopeless,
         num_matches=len(matches),
         num_inliers=int(np.count_nonzero(off <= NEAR_INLIER_CELLS**2)),
         num_keypoints=(len(target.features), len(source.features)),
     )
+
+
+def _outlook(candidates: list[Candidate]) -> float:
+    """The confidence that the most hopeful of the candidates would have without rivals, if all its parts stayed."""
+    return max(confidence({**one.figures, "firmness": MAX_FIRMNESS}, MAX_MARGIN) for one in candidates)
 
 
 def is_promising(hypotheses: Hypotheses) -> bool:
@@ -246,25 +270,56 @@ def with_firmness(finding: Finding, target: PreparedMap, source: PreparedMap) ->
 
 
 def refine_and_rank(
-    target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, matches: Matches, effort: Effort = QUICK
+    target: PreparedMap,
+    source: PreparedMap,
+    hypotheses: Hypotheses,
+    matches: Matches,
+    effort: Effort = QUICK,
+    worth: float = 0.0,
 ) -> list[Candidate]:
-    """The best few of the hypotheses, refined, none of them like another; the most plausible first."""
+    """The best few of the hypotheses, refined, none of them like another; the most plausible first.
+
+    Where the first looks cannot come to a confidence of `worth` there are no further ones.
+    """
     assert target.field is not None
     assert source.field is not None
     poses = _refined(target, source, hypotheses, effort)
     evidence = weigh(target, source, poses, EVIDENCE_POINTS)
+    looked_at: dict[int, Candidate] = {}
+    if worth:
+        first = _best_looks(target, source, poses, evidence, matches, NUM_FIRST_LOOKS, looked_at)
+        if _outlook(first) < worth:
+            return first
     best = int(evidence.net.argmax())
     if evidence.conditioning[best] < SLIDING_CONDITIONING:
         slid = _slid(target.field, source.field, poses[best], source.centre)
         poses = np.concatenate([poses, slid])
         evidence = evidence.joined(weigh(target, source, slid, EVIDENCE_POINTS))
+    return _best_looks(target, source, poses, evidence, matches, effort.num_scrutinised, looked_at)
+
+
+def _best_looks(
+    target: PreparedMap,
+    source: PreparedMap,
+    poses: Poses,
+    evidence: Evidence,
+    matches: Matches,
+    number: int,
+    looked_at: dict[int, Candidate],
+) -> list[Candidate]:
+    """A number of poses (K, 3) with the most evidence, none of them like another; the most plausible first.
+
+    `looked_at` has those of them that were looked at before, by index, and is added to.
+    """
     order = np.argsort(-evidence.net, kind="stable")
     most = evidence.net[order[0]]
     worth = order[evidence.net[order] >= WORTH_SHARE * most]
-    count = effort.num_scrutinised if most >= MIN_EVIDENCE else 1
-    chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, count)]
-    candidates = [_candidate(target, source, poses[k], evidence, int(k), matches) for k in chosen]
-    return sorted(candidates, key=lambda one: -one.plausibility)
+    count = number if most >= MIN_EVIDENCE else 1
+    chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, count)].tolist()
+    for k in chosen:
+        if k not in looked_at:
+            looked_at[k] = _candidate(target, source, poses[k], evidence, k, matches)
+    return sorted((looked_at[k] for k in chosen), key=lambda one: -one.plausibility)
 
 
 def _refined(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, effort: Effort) -> Poses:
@@ -304,6 +359,15 @@ def recheck(target: PreparedMap, source: PreparedMap, pose: Poses, matches: Matc
     # A bent map may fit better as it was found from afar than where its nearest walls draw it.
     best = 0 if evidence.net[0] >= 0.9 * evidence.net[-1] else 1
     return Finding(_candidate(target, source, poses[best], evidence, best, matches), information[0])
+
+
+def _as_it_is(target: PreparedMap, source: PreparedMap, candidate: Candidate) -> Finding:
+    """A candidate that is not worth a polish, with what its walls fix."""
+    assert target.field is not None
+    assert source.field is not None
+    pose = candidate.pose[None]
+    _, (information,) = refine(target.field, source.field, pose, source.centre, TIGHT_REACHES[-1:], FINE_POINTS)
+    return Finding(candidate, information)
 
 
 def _candidate(
