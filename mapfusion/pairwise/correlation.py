@@ -32,7 +32,8 @@ by which less than the rest of it overlaps fall together with others. Those by w
 taken for the others."""
 MIN_STRIDE = 3
 STEP_DEGREES = 3
-DIRECTION_SIGMA_DEGREES = 2.0
+DIRECTION_SIGMA_DEGREES, TURN_SIGMA_DEGREES = 2.0, 4.0
+"""Of wall directions, and of the turns of matched keypoints."""
 NUM_POINTS = 2000
 PEAKS_PER_ROTATION = 3
 PEAK_RADIUS = 2
@@ -42,20 +43,18 @@ CONTRADICTION_WEIGHT = 0.25
 """What a wall in free space takes away, of what a wall brings that agrees."""
 
 
-def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, first: int, last: int) -> Poses:
-    """The peaks of both correlations at the likeliest rotations.
+def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, rotations: npt.NDArray[np.float64]) -> Poses:
+    """The peaks of both correlations at some rotations.
 
     Args:
         target: Field of the target.
         source: Field of the source.
         centre: (2,) point of the source about which it is turned, cells.
-        first: Number of the first of them that is tried, from 0; they are ordered by likelihood.
-        last: Number of the one before which to stop.
+        rotations: (R,) of the source in the target, radians.
 
     Returns:
         Poses (K, 3) of the source in the target, in cells; at least 2 PEAKS_PER_ROTATION a rotation.
     """
-    rotations = likely_rotations(target.surface, source.surface)[first:last]
     there, here = target.surface.thinned(NUM_POINTS), source.surface.thinned(NUM_POINTS)
     about = centre.astype(np.float32)
     arms, deep_arms = here.points - about, _deep(source) - about
@@ -123,11 +122,22 @@ def _unwrapped(
     return np.concatenate(of_peak)[order], np.concatenate(shifts)[order]
 
 
-def likely_rotations(target: Surface, source: Surface) -> npt.NDArray[np.float64]:
-    """All rotations in steps of STEP_DEGREES, radians, those first at which most wall directions agree."""
+def likely_rotations(target: Surface, source: Surface, turns_rad: Places) -> npt.NDArray[np.float64]:
+    """All rotations in steps of STEP_DEGREES, radians, those first for which wall directions and keypoints speak.
+
+    Walls say which rotations are possible, often a half and quarter turns alike, and keypoints which of them is likely:
+    what speaks for a rotation is the product.
+
+    Args:
+        target: Walls of the target.
+        source: Walls of the source.
+        turns_rad: (M,) by how much matched keypoints turn from the source to the target.
+    """
     correlation = np.fft.irfft(np.fft.rfft(_directions(target)) * np.conj(np.fft.rfft(_directions(source))), 360)
+    votes = _blurred(_per_degree(turns_rad), TURN_SIGMA_DEGREES)
+    likelihood = (correlation - correlation.min()) * (1.0 + np.maximum(votes, 0.0))
     angles = np.arange(0, 360, STEP_DEGREES)
-    order: npt.NDArray[np.intp] = np.argsort(-correlation[angles], kind="stable")
+    order: npt.NDArray[np.intp] = np.argsort(-likelihood[angles], kind="stable")
     return np.radians(angles[order])
 
 
@@ -136,14 +146,23 @@ def _directions(surface: Surface) -> npt.NDArray[np.float64]:
 
     By the root a few long walls, which the other map need not share, outweigh the others less.
     """
-    degrees = np.degrees(np.arctan2(surface.normals[:, 1], surface.normals[:, 0]))
-    counts = np.bincount(np.floor(degrees).astype(np.int64) % 360, minlength=360).astype(np.float64)
-    away = np.minimum(np.arange(360), 360 - np.arange(360))
-    kernel = np.exp(-0.5 * np.square(away / DIRECTION_SIGMA_DEGREES))
-    blurred = np.fft.irfft(np.fft.rfft(counts) * np.fft.rfft(kernel), 360)
-    roots = np.sqrt(np.maximum(blurred, 0.0))
+    counts = _per_degree(np.arctan2(surface.normals[:, 1], surface.normals[:, 0]))
+    roots = np.sqrt(np.maximum(_blurred(counts, DIRECTION_SIGMA_DEGREES), 0.0))
     centred: npt.NDArray[np.float64] = roots - roots.mean()
     return centred
+
+
+def _per_degree(angles_rad: Places) -> npt.NDArray[np.float64]:
+    """(360,) how many of some angles (N,) fall into each whole degree."""
+    degrees = np.floor(np.degrees(angles_rad)).astype(np.int64) % 360
+    return np.bincount(degrees, minlength=360).astype(np.float64)
+
+
+def _blurred(per_degree: npt.NDArray[np.float64], sigma_degrees: float) -> npt.NDArray[np.float64]:
+    """(360,) sums over a Gaussian around each degree, of height 1."""
+    away = np.minimum(np.arange(360), 360 - np.arange(360))
+    kernel = np.exp(-0.5 * np.square(away / sigma_degrees))
+    return np.fft.irfft(np.fft.rfft(per_degree) * np.fft.rfft(kernel), 360)
 
 
 def _deep(field: SurfaceField) -> Points:

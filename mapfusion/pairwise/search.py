@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from mapfusion.pairwise.confidence import MAX_FIRMNESS, MAX_MARGIN, confidence, margin, plausibility
-from mapfusion.pairwise.correlation import correlate
+from mapfusion.pairwise.correlation import correlate, likely_rotations
 from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.firmness import firmness
 from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, squared_offsets
@@ -18,7 +18,7 @@ from mapfusion.pairwise.refine import refine
 from mapfusion.pairwise.rough import SAME_CELLS, TIGHT_STEPS, WIDE_STEPS, Hypotheses, best_distinct, best_nearby, scored
 from mapfusion.pairwise.scrutiny import scrutinise
 from mapfusion.pairwise.surface import SurfaceField
-from mapfusion.pairwise.voting import Matches, match, vote
+from mapfusion.pairwise.voting import Matches, match, turns, vote
 
 COARSE_POINTS = 250
 FINE_POINTS = 400
@@ -80,7 +80,7 @@ GLANCE = Effort(
 """Keypoints alone."""
 QUICK = Effort(
     num_voted=60,
-    num_rotations=16,
+    num_rotations=12,
     num_starts=24,
     num_candidates=8,
     is_exhaustive=False,
@@ -157,7 +157,9 @@ def propose(
         voted = vote(target.features, source.features, matches, source.centre, effort.num_voted)
         proposed.append(voted[0 if before is None else before.num_voted :])
     if first < last:
-        proposed.append(correlate(target.field, source.field, source.centre, first, last))
+        turns_rad = turns(target.features, source.features, matches)
+        rotations = likely_rotations(target.field.surface, source.field.surface, turns_rad)[first:last]
+        proposed.append(correlate(target.field, source.field, source.centre, rotations))
     if is_coarsened:
         proposed.append(_found_coarsely(target, source, effort))
     return scored(target, source, np.concatenate(proposed), COARSE_POINTS)

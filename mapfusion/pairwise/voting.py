@@ -65,11 +65,16 @@ def _nearest(query: Features, train: Features) -> npt.NDArray[np.intp]:
     return np.stack([rows, index[rows, ranks]], -1).astype(np.intp)
 
 
+def turns(target: Features, source: Features, matches: Matches) -> npt.NDArray[np.float64]:
+    """(M,) by how much matched keypoints turn from the source to the target, radians, not reduced to a whole turn."""
+    return (target.angles_rad[matches.target] - source.angles_rad[matches.source]).astype(np.float64)
+
+
 def vote(target: Features, source: Features, matches: Matches, centre: Poses, count: int) -> Poses:
     """Up to `count` poses (K, 3) with the most votes, best first; `centre` (2,) is the source's, in cells."""
     if not len(matches):
         return np.zeros((0, 3))
-    theta = (target.angles_rad[matches.target] - source.angles_rad[matches.source]).astype(np.float64)
+    theta = turns(target, source, matches)
     c, s = np.cos(theta), np.sin(theta)
     lever = centre - source.points[matches.source]
     centres = target.points[matches.target] + np.stack(

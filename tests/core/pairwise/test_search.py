@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from mapfusion.evaluation.pairs import make_pair
+from mapfusion.pairwise import search
 from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap, prepare
-from mapfusion.pairwise.search import LARGE_CELLS, THOROUGH, Candidate, Finding, propose, with_rivals_of
+from mapfusion.pairwise.scrutiny import scrutinise
+from mapfusion.pairwise.search import (
+    LARGE_CELLS,
+    NUM_FIRST_LOOKS,
+    QUICK,
+    THOROUGH,
+    Candidate,
+    Finding,
+    examine,
+    propose,
+    with_rivals_of,
+)
 from mapfusion.pairwise.voting import match
 from tests.core.pairwise.test_verdict import GOOD
 from tests.fakes import grid_of, rooms
@@ -54,3 +68,39 @@ def test_a_large_map_with_too_few_walls_for_a_coarser_resolution_is_turned_as_of
     assert sparse.num_walls >= MIN_WALL_CELLS > sparse.coarser.num_walls
     hypotheses = propose(sparse, sparse, match(sparse.features, sparse.features), THOROUGH)
     assert len(hypotheses) >= THOROUGH.num_rotations * 2 * PEAKS_PER_ROTATION
+
+
+def searched(is_related: bool, worth: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Finding, int]:
+    """What a quick search of a pair finds, and how many poses it looks at closely."""
+    pair = make_pair("paper", is_related, 900202)
+    target, source = prepare(pair.target, 0.05), prepare(pair.source, 0.05)
+    matches = match(target.features, source.features)
+    hypotheses = propose(target, source, matches, QUICK)
+    looks = 0
+
+    def counted(*args: Any) -> Any:
+        nonlocal looks
+        looks += 1
+        return scrutinise(*args)
+
+    monkeypatch.setattr(search, "scrutinise", counted)
+    return examine(target, source, hypotheses, matches, QUICK, worth), looks
+
+
+def test_a_search_that_cannot_come_to_anything_ends_after_the_first_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, num_looks = searched(False, 0.0, monkeypatch)
+    assert not whole.is_hopeless
+    assert num_looks == QUICK.num_scrutinised + 1  # once more after the polish
+    early, num_looks = searched(False, 0.05, monkeypatch)
+    assert early.is_hopeless
+    assert num_looks == NUM_FIRST_LOOKS
+    assert 0.0 <= early.best.figures["firmness"] <= 1.0
+    assert np.linalg.eigvalsh(early.information).min() > 0.0
+
+
+def test_a_search_that_may_come_to_something_is_the_same_as_a_whole_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    (whole, num_looks), (other, num_other) = (searched(True, worth, monkeypatch) for worth in (0.0, 0.9))
+    assert not other.is_hopeless
+    assert num_other == num_looks  # none of them twice
+    assert other.best.figures == whole.best.figures
+    assert np.array_equal(other.best.pose, whole.best.pose)
