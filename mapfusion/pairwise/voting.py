@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -45,24 +44,31 @@ def match(target: Features, source: Features) -> Matches:
     if not len(target) or not len(source):
         none = np.zeros(0, np.intp)
         return Matches(none, none)
-    forward = _nearest(source, target)
-    backward = _nearest(target, source)[:, ::-1]
-    pairs = np.concatenate([forward, backward])
+    bits = _differing_bits(source, target)
+    pairs = np.concatenate([_nearest(bits), _nearest(np.ascontiguousarray(bits.T))[:, ::-1]])
     of_source, of_target = np.divmod(np.unique(pairs[:, 0] * len(target) + pairs[:, 1]), len(target))
     return Matches(of_target, of_source)
 
 
-def _nearest(query: Features, train: Features) -> npt.NDArray[np.intp]:
-    """(M, 2) indices into query and train."""
-    bits, index = cv2.batchDistance(
-        query.descriptors,
-        train.descriptors,
-        cv2.CV_32S,
-        normType=cv2.NORM_HAMMING,
-        K=min(NUM_NEIGHBOURS, len(train)),
-    )
-    rows, ranks = np.nonzero(bits <= MAX_DISTANCE_BITS)
-    return np.stack([rows, index[rows, ranks]], -1).astype(np.intp)
+def _differing_bits(some: Features, others: Features) -> npt.NDArray[np.uint16]:
+    """(N, M) in how many bits the descriptors of N features differ from those of M others."""
+    here, there = (np.ascontiguousarray(one.descriptors.view(np.uint64).T) for one in (some, others))
+    bits = np.zeros((len(some), len(others)), np.uint16)
+    for word, other in zip(here, there, strict=True):
+        bits += np.bitwise_count(word[:, None] ^ other)
+    return bits
+
+
+def _nearest(bits: npt.NDArray[np.uint16]) -> npt.NDArray[np.intp]:
+    """(K, 2) row and column of the NUM_NEIGHBOURS least of each row of (N, M), as far as they are near enough."""
+    left, rows = bits.copy(), np.arange(len(bits))
+    found = []
+    for _ in range(NUM_NEIGHBOURS):
+        columns = left.argmin(axis=1)
+        near = left[rows, columns] <= MAX_DISTANCE_BITS
+        found.append(np.stack([rows[near], columns[near]], -1))
+        left[rows, columns] = np.iinfo(left.dtype).max
+    return np.concatenate(found)
 
 
 def turns(target: Features, source: Features, matches: Matches) -> npt.NDArray[np.float64]:
