@@ -28,10 +28,9 @@ __all__ = ["PreparedMap", "fuse", "prepare", "verify"]
 
 SETTLED = 0.98
 """A join that a search is less sure of than this must stand against the rivals that a more thorough one finds."""
-HOPELESS = 0.01
-"""Where a quick search of maps that are not vast is less sure than this, a thorough one finds next to nothing."""
-GLANCE_OUTLOOK, QUICK_OUTLOOK = 0.9, 0.05
-"""Least confidence that the first looks must leave possible for a glance, and for a quick search, to go on."""
+GLANCE_OUTLOOK, OUTLOOK = 0.9, 0.1
+"""Least confidence that the first looks must leave possible for a glance, and for any other search, to go on. Where a
+quick search ends so, a thorough one finds next to nothing, unless the maps are vast."""
 
 
 def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thorough: bool = True) -> PairFusion:
@@ -59,15 +58,13 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
         if glance.accepted and glance.confidence >= SETTLED:
             return glance
     proposed = proposed.joined(propose(target, source, matches, QUICK, before=GLANCE))
-    may_be_hopeless = not are_vast(target, source)
-    quickly = examine(target, source, proposed, matches, QUICK, QUICK_OUTLOOK if may_be_hopeless else 0.0)
+    quickly = examine(target, source, proposed, matches, QUICK, 0.0 if are_vast(target, source) else OUTLOOK)
     quick = _judged(target, source, config, quickly)
-    is_hopeless = may_be_hopeless and (quickly.is_hopeless or quick.confidence < HOPELESS)
-    is_settled = quick.confidence >= SETTLED if quick.accepted else is_hopeless or not is_thorough
+    is_settled = quick.confidence >= SETTLED if quick.accepted else quickly.is_hopeless or not is_thorough
     if is_settled:
         return quick
     proposed = proposed.joined(propose(target, source, matches, THOROUGH, before=QUICK))
-    thoroughly = examine(target, source, proposed, matches, THOROUGH)
+    thoroughly = examine(target, source, proposed, matches, THOROUGH, OUTLOOK)
     if quick.accepted:
         checked = _judged(target, source, config, with_rivals_of(quickly, thoroughly, target, source))
         if checked.accepted:

@@ -12,7 +12,7 @@ from mapfusion.config import FusionConfig
 from mapfusion.evaluation.pairs import StudyPair, make_pair
 from mapfusion.grid import Cells, OccupancyGrid
 from mapfusion.pairwise import search
-from mapfusion.pairwise.default import HOPELESS, PreparedMap, fuse, prepare, verify
+from mapfusion.pairwise.default import OUTLOOK, PreparedMap, fuse, prepare, verify
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 from tests.fakes import flat, grid_of, rooms, seen_from
@@ -93,7 +93,7 @@ def test_hopeless_pairs_are_not_searched_thoroughly(monkeypatch: pytest.MonkeyPa
     pair = make_pair("paper", False, 900201)
     monkeypatch.setattr(search, "best_nearby", fail)
     result = fuse(prepare(pair.target, 0.05), prepare(pair.source, 0.05), FusionConfig())
-    assert result.confidence < HOPELESS
+    assert result.confidence < OUTLOOK
 
 
 def cluttered_building(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, SE2]:
@@ -122,7 +122,7 @@ def test_large_maps_are_searched_at_coarser_resolutions_as_well(monkeypatch: pyt
     middle_m = b.centres_m(b.known).mean(axis=0)
     assert result.T_target_source is not None
     assert np.linalg.norm(result.T_target_source.apply(middle_m) - T_a_b.apply(middle_m)) < 0.025
-    assert fuse(*maps, FusionConfig(), is_thorough=False).confidence < HOPELESS  # vast maps are searched all the same
+    assert fuse(*maps, FusionConfig(), is_thorough=False).confidence < OUTLOOK  # vast maps are searched all the same
     monkeypatch.setattr(search, "_can_be_coarsened", lambda *_: False)
     assert not fuse(*maps, FusionConfig()).accepted
 
