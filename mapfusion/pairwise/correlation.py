@@ -4,8 +4,8 @@ The cross-correlation of the images of two rims' normals sums the cosines betwee
 seen from opposite sides count against a pose. Alone it favours poses that put much wall onto much wall. Where maps
 share little, the right pose shows by what is missing: no wall of either map stands in the other's free space. So the
 peaks are taken twice, of the correlation of the normals and of what is left when walls in free space are subtracted;
-bent maps are found by the first only. Rotations are tried in the order in which the two maps' wall directions
-correlate.
+bent maps are found by the first only. Rotations are tried in the order in which the two maps' wall directions and the
+turns of their keypoints speak for them.
 Sources: orientation correlation, Fitch et al., BMVC 2002; the Hough spectrum, Carpin, Autonomous Robots 2008.
 """
 
@@ -126,7 +126,7 @@ def likely_rotations(target: Surface, source: Surface, turns_rad: Places) -> npt
     """All rotations in steps of STEP_DEGREES, radians, those first for which wall directions and keypoints speak.
 
     Walls say which rotations are possible, often a half and quarter turns alike, and keypoints which of them is likely:
-    what speaks for a rotation is the product.
+    what speaks for a rotation is the product, of the root of the votes, as bent and large maps have few right ones.
 
     Args:
         target: Walls of the target.
@@ -135,7 +135,7 @@ def likely_rotations(target: Surface, source: Surface, turns_rad: Places) -> npt
     """
     correlation = np.fft.irfft(np.fft.rfft(_directions(target)) * np.conj(np.fft.rfft(_directions(source))), 360)
     votes = _blurred(_per_degree(turns_rad), TURN_SIGMA_DEGREES)
-    likelihood = (correlation - correlation.min()) * (1.0 + np.maximum(votes, 0.0))
+    likelihood = (correlation - correlation.min()) * np.sqrt(1.0 + np.maximum(votes, 0.0))
     angles = np.arange(0, 360, STEP_DEGREES)
     order: npt.NDArray[np.intp] = np.argsort(-likelihood[angles], kind="stable")
     return np.radians(angles[order])

@@ -80,7 +80,7 @@ GLANCE = Effort(
 """Keypoints alone."""
 QUICK = Effort(
     num_voted=60,
-    num_rotations=12,
+    num_rotations=16,
     num_starts=24,
     num_candidates=8,
     is_exhaustive=False,
