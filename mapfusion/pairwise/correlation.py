@@ -12,14 +12,13 @@ Sources: orientation correlation, Fitch et al., BMVC 2002; the Hough spectrum, C
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from itertools import product
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.pairwise.poses import Poses, pose_from_centre, turned
+from mapfusion.pairwise.poses import Poses, pose_from_centre
 from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats, Indices, Points, Surface, SurfaceField
 
 Places = npt.NDArray[np.floating]
@@ -34,6 +33,8 @@ MIN_STRIDE = 3
 STEP_DEGREES = 3
 DIRECTION_SIGMA_DEGREES, TURN_SIGMA_DEGREES = 2.0, 4.0
 """Of wall directions, and of the turns of matched keypoints."""
+LEAST_POSSIBLE = 0.01
+"""No rotation is so impossible for walls that keypoints cannot speak for it; as a share of the walls' correlation."""
 NUM_POINTS = 2000
 PEAKS_PER_ROTATION = 3
 PEAK_RADIUS = 2
@@ -65,7 +66,7 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, rotatio
     deep_arms = deep_arms[((deep_arms >= arms_low) & (deep_arms <= arms_high)).all(axis=1)]
 
     c, s = np.cos(rotations), np.sin(rotations)
-    R = np.array([[c, -s], [s, c]], np.float32).transpose(2, 0, 1)
+    R = np.ascontiguousarray(np.array([[c, -s], [s, c]], np.float32).transpose(2, 0, 1))
     box = np.array([[x, y] for x in (arms_low[0], arms_high[0]) for y in (arms_low[1], arms_high[1])], np.float32)
     corners = R @ box.T
     starts, extents = corners.min(axis=-1), np.ptp(corners, axis=-1)
@@ -75,9 +76,8 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, rotatio
     width, height = (_fast_size(math.ceil(edge / stride) + 2) for edge in edges)
     shape = height, width
 
-    at = _cells(((there.points - low) / stride).T[None], shape)
-    deep_at = _cells(((deep - low) / stride).T[None], shape)
-    ((normals, walls),) = _images(at, there.normals.T[None], deep_at, shape)
+    at, deep_at = (_cells((each - low).T / stride, shape) for each in (there.points, deep))
+    normals, walls = _images(at, there.normals.T, deep_at, shape)
     normals = cv2.GaussianBlur(normals, (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT)
     # A wall that agrees brings as much as there is of the other map's walls in its coarse cell.
     of_cell = CONTRADICTION_WEIGHT * (MIN_STRIDE / stride) ** 2
@@ -85,15 +85,18 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, rotatio
     # A wall of one map counts where it meets what is deep in the other.
     of_target = [np.conj(_spectrum(image)) for image in (normals, np.ascontiguousarray(walls[..., ::-1]))]
     peaks: list[tuple[int, int]] = []
-    at, deep_at = (_cells((turned(R, each) - starts[..., None]) / stride, shape) for each in (arms, deep_arms))
-    for images in _images(at, turned(R, here.normals), deep_at, shape):
+    # Products with transposes as they are would take several times as long.
+    columns, deep_columns, facing = (np.ascontiguousarray(each.T) for each in (arms, deep_arms, here.normals))
+    for turn, start in zip(R, starts[..., None], strict=True):
+        at, deep_at = (_cells((turn @ each - start) / stride, shape) for each in (columns, deep_columns))
+        images = _images(at, turn @ facing, deep_at, shape)
         agreeing, contradicting = (_correlation(*both) for both in zip(of_target, images, strict=True))
         for score in (agreeing, agreeing - contradicting):
             peaks += _peaks(score)
-    by = np.arange(len(rotations)).repeat(len(peaks) // len(rotations))
-    of_peak, shift = _unwrapped(np.array(peaks), (high - low) / stride, extents[by] / stride, (width, height))
-    by = by[of_peak]
-    return pose_from_centre(rotations[by], shift * stride - starts[by] + low, centre)
+    of_rotation = np.arange(len(rotations)).repeat(len(peaks) // len(rotations))
+    of_peak, shift = _unwrapped(np.array(peaks), (high - low) / stride, extents[of_rotation] / stride, (width, height))
+    of_rotation = of_rotation[of_peak]
+    return pose_from_centre(rotations[of_rotation], shift * stride - starts[of_rotation] + low, centre)
 
 
 def _unwrapped(
@@ -135,9 +138,12 @@ def likely_rotations(target: Surface, source: Surface, turns_rad: Places) -> npt
     """
     correlation = np.fft.irfft(np.fft.rfft(_directions(target)) * np.conj(np.fft.rfft(_directions(source))), 360)
     votes = _blurred(_per_degree(turns_rad), TURN_SIGMA_DEGREES)
-    likelihood = (correlation - correlation.min()) * np.sqrt(1.0 + np.maximum(votes, 0.0))
+    possible = correlation - correlation.min() + LEAST_POSSIBLE * (np.ptp(correlation) + 1.0)
+    likelihood = possible * np.sqrt(1.0 + np.maximum(votes, 0.0))
     angles = np.arange(0, 360, STEP_DEGREES)
-    order: npt.NDArray[np.intp] = np.argsort(-likelihood[angles], kind="stable")
+    # Rounded, as quarter turns of a room are equally likely but for the last digits.
+    ranks = np.round(likelihood[angles] / likelihood.max(), 9)
+    order: npt.NDArray[np.intp] = np.argsort(-ranks, kind="stable")
     return np.radians(angles[order])
 
 
@@ -174,27 +180,25 @@ def _deep(field: SurfaceField) -> Points:
 
 
 def _cells(at: Floats, shape: tuple[int, int]) -> Indices:
-    """(K, N) flat index of the cell of an image in which each point (K, 2, N) lies."""
-    cells = at.astype(np.int32)
-    flat: Indices = cells[:, 1] * shape[1] + cells[:, 0]
+    """(N,) flat index of the cell of an image in which each point (2, N) lies."""
+    x, y = at.astype(np.int32)
+    flat: Indices = y * shape[1] + x
     return flat
 
 
-def _images(cells: Indices, normals: Floats, deep_cells: Indices, shape: tuple[int, int]) -> Iterator[Floats]:
-    """Two images (2, H, W, 2) for each of K rotations: the rim's normals in x and y, and its points and deep cells.
+def _images(cells: Indices, normals: Floats, deep_cells: Indices, shape: tuple[int, int]) -> Floats:
+    """Two images (2, H, W, 2): sums of the rim's normals in x and y, and of its points and of deep cells.
 
     Args:
-        cells: (K, N) flat index of the cell of each point.
-        normals: (K, 2, N) of the points.
-        deep_cells: (K, M) flat index of the cell of each place that is deep in free space.
+        cells: (N,) flat index of the cell of each point.
+        normals: (2, N) of the points.
+        deep_cells: (M,) flat index of the cell of each place that is deep in free space.
         shape: Of the images.
     """
     num_cells = shape[0] * shape[1]
-    places = np.concatenate([2 * cells, 2 * cells + 1, 2 * (cells + num_cells), 2 * (deep_cells + num_cells) + 1], 1)
-    counts = np.ones((len(cells), cells.shape[1] + deep_cells.shape[1]), np.float32)
-    values = np.concatenate([normals[:, 0], normals[:, 1], counts], 1)
-    for place, value in zip(places, values, strict=True):
-        yield np.bincount(place, value, 4 * num_cells).astype(np.float32).reshape(2, *shape, 2)
+    places = np.concatenate([2 * cells, 2 * cells + 1, 2 * (cells + num_cells), 2 * (deep_cells + num_cells) + 1])
+    values = np.concatenate([*normals, np.ones(len(cells) + len(deep_cells), np.float32)])
+    return np.bincount(places, values, 4 * num_cells).astype(np.float32).reshape(2, *shape, 2)
 
 
 def _density(at: Places) -> np.float32:

@@ -54,9 +54,10 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     proposed = propose(target, source, matches, GLANCE)
     if is_promising(proposed):
         found = examine(target, source, proposed, matches, GLANCE, GLANCE_OUTLOOK)
-        glance = _judged(target, source, config, found)
-        if glance.accepted and glance.confidence >= SETTLED:
-            return glance
+        if not found.is_hopeless:
+            glance = _judged(target, source, config, found)
+            if glance.accepted and glance.confidence >= SETTLED:
+                return glance
     proposed = proposed.joined(propose(target, source, matches, QUICK, before=GLANCE))
     quickly = examine(target, source, proposed, matches, QUICK, 0.0 if are_vast(target, source) else OUTLOOK)
     quick = _judged(target, source, config, quickly)
@@ -64,7 +65,8 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     if is_settled:
         return quick
     proposed = proposed.joined(propose(target, source, matches, THOROUGH, before=QUICK))
-    thoroughly = examine(target, source, proposed, matches, THOROUGH, OUTLOOK)
+    # A join must stand against all rivals.
+    thoroughly = examine(target, source, proposed, matches, THOROUGH, 0.0 if quick.accepted else OUTLOOK)
     if quick.accepted:
         checked = _judged(target, source, config, with_rivals_of(quickly, thoroughly, target, source))
         if checked.accepted:

@@ -49,8 +49,8 @@ def inverse(poses: Poses) -> Poses:
 def pose_from_centre(theta: npt.NDArray[np.float64], centre_in_target: Poses, centre: Poses) -> Poses:
     """Poses (K, 3) that turn by theta (K,) and take the source's `centre` (2,) to `centre_in_target` (K, 2)."""
     c, s = np.cos(theta), np.sin(theta)
-    turned = np.stack([c * centre[0] - s * centre[1], s * centre[0] + c * centre[1]], -1)
-    return np.concatenate([centre_in_target - turned, theta[:, None]], -1)
+    arm = np.stack([c * centre[0] - s * centre[1], s * centre[0] + c * centre[1]], -1)
+    return np.concatenate([centre_in_target - arm, theta[:, None]], -1)
 
 
 def differ(poses: Poses, others: Poses, centre: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:

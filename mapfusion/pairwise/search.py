@@ -124,7 +124,7 @@ class Finding:
         information: (3, 3) information matrix about the source's centre, in cells and radians, per wall cell.
         rival: The distinctly different pose that comes nearest to it; None where there is none, or none was looked for.
         is_searched: Whether other poses were looked for.
-        is_hopeless: Whether the search ended early, as no look at further poses and no polish would have mattered.
+        is_hopeless: Whether the search ended early, its first looks leaving no hope: rivals were hardly looked for.
         num_matches: Keypoint matches used.
         num_inliers: Those that agree with the best pose.
         num_keypoints: Of the target and of the source; 0 where none were looked for.
@@ -209,19 +209,21 @@ def examine(
     hypotheses: Hypotheses,
     matches: Matches,
     effort: Effort = QUICK,
-    worth: float = 0.0,
+    least_outlook: float = 0.0,
 ) -> Finding:
     """The best of the hypotheses, refined, with its evidence and its rival.
 
-    Where the best of them cannot come to a confidence of `worth` the search ends early.
+    Where the first looks, at the poses with the most evidence, leave less confidence possible than `least_outlook`, the
+    search ends there: what further looks, slides and a polish would change is not waited for.
     """
-    candidates = refine_and_rank(target, source, hypotheses, matches, effort, worth)
-    is_hopeless = _outlook(candidates) < worth
-    found = (
-        _as_it_is(target, source, candidates[0])
-        if is_hopeless
-        else recheck(target, source, candidates[0].pose, matches)
-    )
+    shortlist = _Shortlist.of(target, source, hypotheses, matches, effort)
+    candidates = shortlist.best(NUM_FIRST_LOOKS)
+    is_hopeless = _outlook(candidates) < least_outlook
+    if is_hopeless:
+        found = _as_it_is(target, source, candidates[0])
+    else:
+        candidates = shortlist.with_slides().best(effort.num_scrutinised)
+        found = recheck(target, source, candidates[0].pose, matches)
     found = with_firmness(found, target, source)
     others = np.array([one.pose for one in candidates])
     (apart,) = differ(others[:1], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
@@ -272,56 +274,55 @@ def with_firmness(finding: Finding, target: PreparedMap, source: PreparedMap) ->
 
 
 def refine_and_rank(
-    target: PreparedMap,
-    source: PreparedMap,
-    hypotheses: Hypotheses,
-    matches: Matches,
-    effort: Effort = QUICK,
-    worth: float = 0.0,
+    target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, matches: Matches, effort: Effort = QUICK
 ) -> list[Candidate]:
-    """The best few of the hypotheses, refined, none of them like another; the most plausible first.
-
-    Where the first looks cannot come to a confidence of `worth` there are no further ones.
-    """
-    assert target.field is not None
-    assert source.field is not None
-    poses = _refined(target, source, hypotheses, effort)
-    evidence = weigh(target, source, poses, EVIDENCE_POINTS)
-    looked_at: dict[int, Candidate] = {}
-    if worth:
-        first = _best_looks(target, source, poses, evidence, matches, NUM_FIRST_LOOKS, looked_at)
-        if _outlook(first) < worth:
-            return first
-    best = int(evidence.net.argmax())
-    if evidence.conditioning[best] < SLIDING_CONDITIONING:
-        slid = _slid(target.field, source.field, poses[best], source.centre)
-        poses = np.concatenate([poses, slid])
-        evidence = evidence.joined(weigh(target, source, slid, EVIDENCE_POINTS))
-    return _best_looks(target, source, poses, evidence, matches, effort.num_scrutinised, looked_at)
+    """The best few of the hypotheses, refined, none of them like another; the most plausible first."""
+    shortlist = _Shortlist.of(target, source, hypotheses, matches, effort)
+    return shortlist.with_slides().best(effort.num_scrutinised)
 
 
-def _best_looks(
-    target: PreparedMap,
-    source: PreparedMap,
-    poses: Poses,
-    evidence: Evidence,
-    matches: Matches,
-    number: int,
-    looked_at: dict[int, Candidate],
-) -> list[Candidate]:
-    """A number of poses (K, 3) with the most evidence, none of them like another; the most plausible first.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shortlist:
+    """Refined poses and their evidence, and those of them that were looked at, by index."""
 
-    `looked_at` has those of them that were looked at before, by index, and is added to.
-    """
-    order = np.argsort(-evidence.net, kind="stable")
-    most = evidence.net[order[0]]
-    worth = order[evidence.net[order] >= WORTH_SHARE * most]
-    count = number if most >= MIN_EVIDENCE else 1
-    chosen = worth[distinct(poses[worth], source.centre, SAME_CELLS, REFINED_DEGREES, count)].tolist()
-    for k in chosen:
-        if k not in looked_at:
-            looked_at[k] = _candidate(target, source, poses[k], evidence, k, matches)
-    return sorted((looked_at[k] for k in chosen), key=lambda one: -one.plausibility)
+    target: PreparedMap
+    source: PreparedMap
+    matches: Matches
+    poses: Poses
+    evidence: Evidence
+    looked_at: dict[int, Candidate]
+
+    @classmethod
+    def of(
+        cls, target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, matches: Matches, effort: Effort
+    ) -> _Shortlist:
+        """The best few of the hypotheses."""
+        poses = _refined(target, source, hypotheses, effort)
+        return cls(target, source, matches, poses, weigh(target, source, poses, EVIDENCE_POINTS), {})
+
+    def with_slides(self) -> _Shortlist:
+        """With the pose that has the most evidence moved along its walls, where they hold it in one direction only."""
+        assert self.target.field is not None
+        assert self.source.field is not None
+        best = int(self.evidence.net.argmax())
+        if self.evidence.conditioning[best] >= SLIDING_CONDITIONING:
+            return self
+        slid = _slid(self.target.field, self.source.field, self.poses[best], self.source.centre)
+        evidence = self.evidence.joined(weigh(self.target, self.source, slid, EVIDENCE_POINTS))
+        return replace(self, poses=np.concatenate([self.poses, slid]), evidence=evidence)
+
+    def best(self, count: int) -> list[Candidate]:
+        """Those with the most evidence, none of them like another, looked at closely; the most plausible first."""
+        net = self.evidence.net
+        order = np.argsort(-net, kind="stable")
+        most = net[order[0]]
+        rivals = order[net[order] >= WORTH_SHARE * most]
+        count = count if most >= MIN_EVIDENCE else 1
+        chosen = rivals[distinct(self.poses[rivals], self.source.centre, SAME_CELLS, REFINED_DEGREES, count)].tolist()
+        for k in chosen:
+            if k not in self.looked_at:
+                self.looked_at[k] = _candidate(self.target, self.source, self.poses[k], self.evidence, k, self.matches)
+        return sorted((self.looked_at[k] for k in chosen), key=lambda one: -one.plausibility)
 
 
 def _refined(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, effort: Effort) -> Poses:

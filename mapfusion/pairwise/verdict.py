@@ -178,12 +178,16 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"{agreement}"
         )
     if trust < least_trust:
+        rivals = (
+            "no rivals were looked for"
+            if finding.is_hopeless
+            else f"the best different alignment has {_rival_ratio(finding):.2f} of the evidence"
+        )
         return "confidence", (
             f"not sure enough ({trust:.2f}, at least {least_trust} is needed): {agreement}, along about "
             f"{figures['lines']:.0f} different walls; {figures['opposite']:.0%} lie on walls seen from the other "
             f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
-            f"{figures['mutual_ratio']:.0%} of the smaller map in common, the best different alignment has "
-            f"{_rival_ratio(finding):.2f} of the evidence"
+            f"{figures['mutual_ratio']:.0%} of the smaller map in common, {rivals}"
         )
     return "", ""
 

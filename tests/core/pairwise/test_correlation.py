@@ -73,12 +73,17 @@ def test_a_long_wall_that_one_map_has_alone_does_not_decide_the_rotation() -> No
 
 def test_keypoints_tell_quarter_turns_apart_that_walls_do_not() -> None:
     room = facing(np.repeat([0, 90, 180, 270], 50))
-    turns_rad = np.radians(np.concatenate([np.linspace(0.0, 360.0, 100), np.full(12, 181.0 - 360.0)]))
+    turns_rad = np.radians(np.concatenate([np.linspace(0.0, 360.0, 100), np.full(12, 91.0 - 360.0)]))
     first = np.degrees(likely_rotations(room, room, turns_rad))
-    assert first[0] == pytest.approx(180.0)
+    assert first[0] == pytest.approx(90.0)
     off_quarter = np.abs(np.remainder(first[:12] + 45.0, 90.0) - 45.0)
     assert off_quarter.max() <= 6.0  # whatever walls allow comes before anything else
     assert np.degrees(likely_rotations(room, room, NO_TURNS))[0] == pytest.approx(0.0)
+
+
+def test_keypoints_decide_where_walls_say_nothing() -> None:
+    circle = facing(np.arange(360))
+    assert math.degrees(likely_rotations(circle, circle, np.full(9, math.radians(90.5)))[0]) == pytest.approx(90.0)
 
 
 def test_rotations_can_be_tried_in_parts() -> None:
