@@ -260,3 +260,14 @@ def test_covariance_is_the_translation_s_at_the_frame_s_origin(place: PreparedMa
     # 100 m from the origin, an error of the yaw moves the origin's image by its lever.
     assert far.covariance[1, 1] > near.covariance[1, 1]
     assert far.covariance[2, 2] == pytest.approx(near.covariance[2, 2])
+
+
+def test_a_search_that_ended_early_names_no_rivals_evidence(place: PreparedMap) -> None:
+    unsure = {"lines": 9.0, "crossing": 0.3, "crossing_cells": 60.0, "mutual_ratio": 0.6}
+    whole = judged(place, finding(**unsure))
+    assert whole.gate == "confidence"
+    assert "the best different alignment has 0.10 of the evidence" in whole.reason
+    early = judged(place, replace(finding(**unsure), is_hopeless=True))
+    assert early.gate == "confidence"
+    assert "no rivals were looked for" in early.reason
+    assert "different alignment" not in early.reason

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from mapfusion.pairwise.features import Features, detect
 from mapfusion.pairwise.poses import moved
-from mapfusion.pairwise.voting import match, vote
+from mapfusion.pairwise.voting import MAX_DISTANCE_BITS, NUM_NEIGHBOURS, match, vote
 
 
 def features(points: np.ndarray, angles: np.ndarray, seed: int = 0) -> Features:
@@ -31,6 +32,25 @@ def test_votes_of_moved_keypoints_peak_at_the_motion() -> None:
     best = vote(target, source, matches, points.mean(axis=0), 5)[0]
     there, expected = moved(best[None], source.points), moved(pose, source.points)
     assert np.abs(there - expected).max() < 3.0
+
+
+@pytest.mark.parametrize("numbers", [(1, 1), (1, 5), (2, 7), (40, 30)])
+def test_matches_are_the_nearest_of_either_side_within_the_limit(numbers: tuple[int, int]) -> None:
+    rng = np.random.default_rng(sum(numbers))
+    target, source = (features(np.zeros((n, 2)), np.zeros(n), seed) for seed, n in enumerate(numbers))
+    for k in range(len(source)):  # near relatives, some of them a bit too far
+        flipped = rng.choice(256, size=int(rng.integers(60, 95)), replace=False)
+        bits = np.unpackbits(target.descriptors[k % len(target)])
+        bits[flipped] ^= 1
+        source.descriptors[k] = np.packbits(bits)
+    source.descriptors[0] = target.descriptors[0] ^ 255  # all 256 bits differ
+    bits = np.array([[int(np.unpackbits(a ^ b).sum()) for b in source.descriptors] for a in target.descriptors])
+    expected = {(i, int(j)) for i, row in enumerate(bits) for j in np.argsort(row, kind="stable")[:NUM_NEIGHBOURS]}
+    expected |= {(int(i), j) for j, row in enumerate(bits.T) for i in np.argsort(row, kind="stable")[:NUM_NEIGHBOURS]}
+    matches = match(target, source)
+    found = list(zip(matches.target.tolist(), matches.source.tolist(), strict=True))
+    assert len(found) == len(set(found))
+    assert set(found) == {(i, j) for i, j in expected if bits[i, j] <= MAX_DISTANCE_BITS}
 
 
 def test_no_features_give_no_hypotheses() -> None:
