@@ -44,7 +44,7 @@ smaller one, as the less they share the more ways there are to share it, and whe
 agreeing closely. So do few walls that agree loosely, which leave the pose loose."""
 SURE = 0.92
 """Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
-Maps that share little and contradict each other too need it."""
+Maps that share little need it where they contradict each other too, or do not agree closely."""
 MUCH_OPPOSITE, VERY_SURE = 0.1, 0.95
 """With more than this share of walls on walls seen from the other side so much confidence is needed: either maps are so
 noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
@@ -205,7 +205,8 @@ def least_confidence(figures: Figures) -> float:
     """The confidence that a pose with these figures needs."""
     if figures["opposite"] > MUCH_OPPOSITE:
         return VERY_SURE
-    return SURE if all(_doubts(figures)) else MIN_CONFIDENCE
+    is_little, is_contradicted = _doubts(figures)
+    return SURE if is_little and (is_contradicted or not _is_close(figures)) else MIN_CONFIDENCE
 
 
 def _doubts(figures: Figures) -> tuple[bool, bool]:

@@ -120,6 +120,8 @@ def test_two_doubts_at_once_ask_for_more_confidence() -> None:
     assert least_confidence(GOOD | {"mutual_ratio": 0.3}) == MIN_CONFIDENCE
     assert least_confidence(GOOD | {"contradiction": 0.3}) == MIN_CONFIDENCE
     assert least_confidence(GOOD | {"mutual_ratio": 0.3, "contradiction": 0.3}) == SURE
+    assert least_confidence(GOOD | {"mutual_ratio": 0.3, "tolerance_cells": 3.0}) == SURE
+    assert least_confidence(GOOD | {"tolerance_cells": 3.0}) == MIN_CONFIDENCE
 
 
 def test_walls_seen_from_the_other_side_ask_for_more_confidence() -> None:
