@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapfusion.pairwise.poses import Poses, pose_from_centre
+from mapfusion.pairwise.poses import rotations as matrices
 from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats, Indices, Points, Surface, SurfaceField
 
 Places = npt.NDArray[np.floating]
@@ -65,8 +66,7 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, rotatio
     deep = deep[((deep >= low) & (deep <= high)).all(axis=1)]
     deep_arms = deep_arms[((deep_arms >= arms_low) & (deep_arms <= arms_high)).all(axis=1)]
 
-    c, s = np.cos(rotations), np.sin(rotations)
-    R = np.ascontiguousarray(np.array([[c, -s], [s, c]], np.float32).transpose(2, 0, 1))
+    R = matrices(np.stack([np.zeros_like(rotations), np.zeros_like(rotations), rotations], -1))
     box = np.array([[x, y] for x in (arms_low[0], arms_high[0]) for y in (arms_low[1], arms_high[1])], np.float32)
     corners = R @ box.T
     starts, extents = corners.min(axis=-1), np.ptp(corners, axis=-1)

@@ -9,14 +9,13 @@ one, seen from the other side, is a neighbour's.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.pairwise.poses import Poses, inverse
+from mapfusion.pairwise.poses import Poses, inverse, rotations, turned
 from mapfusion.pairwise.refine import SAME_SIDE_COSINE, Encounters, encounters
 from mapfusion.pairwise.surface import NOT_KNOWN, Points, Surface, SurfaceField
 
@@ -104,9 +103,8 @@ def _look(field: SurfaceField, surface: Surface, pose: Poses, tolerance_cells: f
 
 def _cosine(found: Encounters, surface: Surface, pose: Poses) -> npt.NDArray[np.float32]:
     """(N,) cosine between each wall's normal and that of the wall it meets."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    R = np.array([[c, -s], [s, c]], np.float32)
-    cosine: npt.NDArray[np.float32] = (found.lines[0] * (R @ surface.normals.T)).sum(axis=0)
+    (facing,) = turned(rotations(pose[None]), surface.normals)
+    cosine: npt.NDArray[np.float32] = (found.lines[0] * facing).sum(axis=0)
     return cosine
 
 
