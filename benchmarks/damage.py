@@ -1,4 +1,4 @@
-"""What real maps suffer, done to maps with known truth: noise, bending, furniture that comes and goes."""
+"""What maps suffer, done to maps with known truth: noise, bending, furniture that comes and goes, a second wing."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mapfusion.transform import SE2
 BEND_EVERY_CELLS = 150
 MAX_BEND_SIGMA_CELLS = 8.0
 MAX_THINGS = 11
+MAX_CELLS_REPEATED = 4_000_000
 
 
 def flipped(grid: OccupancyGrid, share: float, rng: np.random.Generator) -> OccupancyGrid:
@@ -73,6 +74,61 @@ def bent_copy(grid: OccupancyGrid, rng: np.random.Generator) -> tuple[OccupancyG
     moved = np.stack([bend_x[at], bend_y[at]], -1).astype(np.float64) * grid.resolution_m
     there = here + SE2(0.0, 0.0, grid.T_frame_grid.yaw_rad).apply(moved)
     return bent, _rigid(here, there)
+
+
+def repeated(
+    one: OccupancyGrid, other: OccupancyGrid, T_one_other: SE2, rng: np.random.Generator
+) -> tuple[OccupancyGrid, OccupancyGrid] | None:
+    """Two maps of one place as maps of a place with a second wing like the first, in the first one's frame.
+
+    The wing is the place turned by half about a point at its edge, or moved by about its length. Up to eight boxes
+    that both maps show stand in one wing or the other. None where that would be too large.
+    """
+    r, points = one.resolution_m, one.centres_m(one.known)
+    angle = rng.uniform(-math.pi, math.pi)
+    along, across = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+    reach, middle = points @ along, points @ across
+    if rng.random() < 0.6:
+        centre = along * np.quantile(reach, rng.uniform(0.9, 1.0)) + across * np.quantile(
+            middle, rng.uniform(0.35, 0.65)
+        )
+        wing = SE2(2.0 * centre[0], 2.0 * centre[1], math.pi)
+    else:
+        shift = along * np.ptp(reach) * rng.uniform(0.8, 1.0)
+        wing = SE2(float(shift[0]), float(shift[1]), 0.0)
+    everywhere = np.concatenate([points, wing.apply(points)])
+    low, high = everywhere.min(axis=0) - 1.0, everywhere.max(axis=0) + 1.0
+    cols, rows = (math.ceil(v) for v in (high - low) / r)
+    if rows * cols > MAX_CELLS_REPEATED:
+        return None
+    frame = SE2(float(low[0]), float(low[1]), 0.0)
+    cells = []
+    for grid, T in ((one, SE2.identity()), (other, T_one_other)):
+        here, there = (_sampled(grid, where @ T, frame, (rows, cols)) for where in (SE2.identity(), wing))
+        cells.append(np.where(here >= 0, here, there).astype(np.int8))
+    free = np.argwhere((cells[0] == 0) & (cells[1] == 0))
+    for _ in range(int(rng.integers(9)) if len(free) else 0):
+        row, col = (int(v) for v in free[rng.integers(len(free))])
+        patch = np.zeros((rows, cols), np.uint8)
+        size = (float(rng.integers(4, 14)), float(rng.integers(4, 14)))
+        box = cv2.boxPoints(((col, row), size, float(rng.uniform(0.0, 90.0))))
+        cv2.drawContours(patch, [box.astype(np.int32)], 0, 1, 1)
+        for image in cells:
+            image[(patch == 1) & (image >= 0)] = 100
+    first, second = (replace(one, cells=image, T_frame_grid=frame) for image in cells)
+    return first, second
+
+
+def _sampled(grid: OccupancyGrid, T: SE2, frame: SE2, shape: tuple[int, int]) -> Cells:
+    """The map, moved by T, on a raster of `shape` at `frame`."""
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    centres = (np.stack([cols.ravel(), rows.ravel()], -1) + 0.5) * grid.resolution_m
+    there = (grid.T_frame_grid.inverse() @ T.inverse() @ frame).apply(centres) / grid.resolution_m
+    col, row = np.floor(there).astype(np.int64).T
+    inside = (col >= 0) & (row >= 0) & (col < grid.width) & (row < grid.height)
+    cells: Cells = np.full(len(centres), -1, np.int8)
+    cells[inside] = grid.cells[row[inside], col[inside]]
+    return cells.reshape(shape)
 
 
 def _refurnished(cells: Cells, rng: np.random.Generator) -> Cells:

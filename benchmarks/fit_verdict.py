@@ -5,8 +5,9 @@
 PAIRS are folders of map pairs with truth (pairs.json with id, a, b, M, kp_a, kp_b, same_plan, and images). To the pairs
 themselves come views cut from them by half planes, the second one turned at random: of one place with overlap, of
 one place without (whatever is claimed there is wrong), and of different places; views of a map and of a bent copy of
-it; and pairs of both generators of `mapfusion evaluate`. Nearly half of all these are noisy, and the folders' pairs of
-real and hand-held maps come once more with noise. Buildings are held out whole, in turn, when the models are judged.
+it; views of places with a second wing like the first; and pairs of both generators of `mapfusion evaluate`. Nearly half
+of all these are noisy, and the folders' pairs of real and hand-held maps come once more with noise. Buildings are held
+out whole, in turn, when the models are judged.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-from damage import bent_copy, noisy
+from damage import bent_copy, noisy, repeated
 from scipy.optimize import minimize
 
 from mapfusion.evaluation.pairs import make_pair
@@ -48,6 +49,7 @@ from mapfusion.pairwise.verdict import (
     is_adrift,
     least_confidence,
     least_evidence,
+    leaves_rotation_open,
     too_little,
 )
 from mapfusion.pairwise.voting import match
@@ -93,6 +95,7 @@ class Judged:
         is_right: Of each candidate.
         is_near: Of each candidate.
         is_apart: (K, K) which candidates are distinctly different answers.
+        is_open: Whether the walls leave the rotation of the first open.
     """
 
     kind: str
@@ -101,6 +104,7 @@ class Judged:
     is_right: list[bool] = field(default_factory=list)
     is_near: list[bool] = field(default_factory=list)
     is_apart: npt.NDArray[np.bool_] | None = None
+    is_open: bool = False
 
 
 def read_pairs(folder: Path) -> Iterator[Pair]:
@@ -175,6 +179,24 @@ def bent_views(pair: Pair, number: int, rng: np.random.Generator) -> Iterator[Pa
             a, b = _halves(whole, None, rng)
             if min(np.count_nonzero(one.known) for one in (a, b)) >= FEWEST_KNOWN:
                 yield replace(whole, a=a, b=b)
+
+
+def repeated_views(pair: Pair, number: int, rng: np.random.Generator) -> Iterator[Pair]:
+    """Views of the place of a pair with a second wing like it: with overlap, or apart, where any claim is wrong."""
+    assert pair.T_a_b is not None
+    for _ in range(number):
+        maps = repeated(pair.a, pair.b, pair.T_a_b, rng)
+        if maps is None:
+            continue
+        angle = rng.uniform(-math.pi, math.pi)
+        normal = np.array([math.cos(angle), math.sin(angle)])
+        along = [one.centres_m(one.known) @ normal for one in maps]
+        high, low = np.quantile(along[0], rng.uniform(0.4, 0.85)), np.quantile(along[1], rng.uniform(0.15, 0.6))
+        a = cut(maps[0], along[0] >= high)
+        b = turned(cut(maps[1], along[1] <= low), rng.uniform(-math.pi, math.pi))
+        if min(np.count_nonzero(one.known) for one in (a, b)) >= FEWEST_KNOWN:
+            kind, T = ("repeated views", SE2.identity()) if low < high else ("repeated views apart", None)
+            yield Pair(kind, pair.place, a, b, T)
 
 
 def with_noise(pair: Pair, rng: np.random.Generator) -> Pair:
@@ -258,7 +280,7 @@ def judge(pair: Pair) -> Judged:
         judged.figures.append(one.figures)
         judged.is_right.append(is_right)
         judged.is_near.append(is_near)
-    return replace(judged, is_apart=apart)
+    return replace(judged, is_apart=apart, is_open=leaves_rotation_open(polished))
 
 
 def compare(pair: Pair, T: SE2) -> tuple[bool, bool]:
@@ -349,6 +371,7 @@ def report(all_judged: Sequence[Judged]) -> None:
     joined &= np.array([f["net"] for f in best]) >= least
     joined &= np.array([f["ratio"] for f in best]) >= MIN_RATIO
     joined &= np.array([not are_few_things(f) and not is_adrift(f) for f in best])
+    joined &= np.array([not one.is_open for one in all_judged])
     sliding = np.array([figures["conditioning"] < search.SLIDING_CONDITIONING for figures in best])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])
@@ -381,9 +404,10 @@ def main() -> None:
         for view in views(pair, of_one_place, args.views, rng)
     ]
     bent = [view for pair in of_one_place if pair.kind != "paper" for view in bent_views(pair, 2, rng)]
+    wings = [view for pair in of_one_place if pair.kind == "real" for view in repeated_views(pair, args.views, rng)]
     again = [pair for pair in whole if pair.kind not in ("paper", "lidar")]
     of_generators = simulated(args.simulated, args.unrelated)
-    made = [with_noise(pair, rng) for pair in (*again, *parts, *bent, *of_generators)]
+    made = [with_noise(pair, rng) for pair in (*again, *parts, *bent, *wings, *of_generators)]
     with ProcessPoolExecutor(args.jobs) as executor:
         judged = list(executor.map(judge, [*whole, *made], chunksize=4))
     report([one for one in judged if one.figures])

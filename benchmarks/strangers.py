@@ -2,9 +2,11 @@
 
 Run: python benchmarks/strangers.py ../shared/data/pairs/real \
     --one-building gdc carkit rail jsk_eng2 jsk_eng6 jsk_eng8 kobuki
+Or:  python benchmarks/strangers.py ../shared/data/pairs/real --against ../shared/data/pairs/lidar --every 6
 
 Maps are 8-bit images as the bench has them. Those whose names differ by a last number show one place; names that begin
-alike as `--one-building` says may, and are not compared either.
+alike as `--one-building` says may, and are not compared either. With `--against` they are compared with those of a
+folder that shows other places only.
 """
 
 from __future__ import annotations
@@ -64,16 +66,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--one-building", nargs="*", default=[])
+    parser.add_argument("--against", type=Path, help="folder of maps that all show other places")
+    parser.add_argument("--every", type=int, default=1, help="take one of so many maps of that folder")
     parser.add_argument("--variants", nargs="*", default=VARIANTS)
     parser.add_argument("--seeds", nargs="*", type=int, default=[0])
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
     cv2.setNumThreads(1)  # processes that fork off must not inherit a pool of threads
     maps = sorted(args.folder.glob("*.png"))
-    names = {path: place(path.stem, args.one_building) for path in maps}
-    pairs = [(a, b) for a, b in itertools.combinations(maps, 2) if names[a] != names[b]]
+    if args.against:
+        pairs = list(itertools.product(maps, sorted(args.against.glob("*.png"))[:: args.every]))
+    else:
+        names = {path: place(path.stem, args.one_building) for path in maps}
+        pairs = [(a, b) for a, b in itertools.combinations(maps, 2) if names[a] != names[b]]
     if not pairs:
-        raise SystemExit(f"{args.folder} has no two maps of different places")
+        raise SystemExit("no two maps of different places")
     with ProcessPoolExecutor(args.jobs) as executor:
         for variant in args.variants:
             seeds = args.seeds[:1] if variant == "plain" else args.seeds

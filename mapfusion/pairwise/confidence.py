@@ -13,14 +13,14 @@ from collections.abc import Mapping
 Figures = Mapping[str, float]
 
 PLAUSIBILITY = {
-    "net": 1.359,
-    "crossing": -0.786,
-    "run": -0.534,
-    "lines": 2.261,
-    "gain": 1.404,
-    "inliers_wide": 1.154,
-    "keypoints": 0.84,
-    "inliers_near": 1.206,
+    "net": 1.067,
+    "crossing": -0.979,
+    "run": -0.629,
+    "lines": 2.539,
+    "gain": 1.740,
+    "inliers_wide": 0.620,
+    "keypoints": 1.042,
+    "inliers_near": 1.002,
 }
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
@@ -44,8 +44,11 @@ CONFIDENCE = {
 `close` are a quarter and half of what is fitted: hardly any wrong alignment of those pairs holds them down, but others
 would."""
 
-MAX_NET, MAX_RANKED_NET = 30.0, 100.0
-"""More evidence than this tells no more, of a pose alone and of two: what repeats itself has it too."""
+MAX_NET = 30.0
+"""More evidence than this tells no more of a pose: what repeats itself has it too."""
+MAX_RANKED_NET, MAX_RANKED_LINES, MAX_RANKED_WIDE, MAX_RANKED_NEAR = 50.0, 40.0, 100.0, 40.0
+"""More evidence, walls and explained matches than these tell no more of two poses either: they grow with the area that
+a pose has in common, and where a place repeats itself the right pose need not have most of it."""
 WIDE_BY_CHANCE, NEAR_BY_CHANCE = 15.0, 6.0
 """About as many matches are explained by wrong poses as well."""
 MAX_LINES = 20.0
@@ -57,6 +60,10 @@ MAX_MARGIN = 4.0
 BEHIND_SHARE, BEHIND_WEIGHT = 0.5, 3.0
 """Where the best pose has more evidence than plausibility counts, a rival with less than the first of it falls behind
 by the second for each natural logarithm, as far as the first of MAX_RANKED_NET: below that, plausibility sees it."""
+FIT, BETTER_FIT = ("crossing", "run", "gain", "keypoints"), 0.5
+ALONE_CONFIDENCE = 0.86
+"""A rival that would have this confidence without the other pose, and by the first fits better by more than the second,
+may well be right: the other has more in common, but so has a place with a wing that repeats it."""
 MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
 """Less firmness than the first and more than the second tells no more. With less than the first, maps that are not bent
 are not joined."""
@@ -80,11 +87,11 @@ def plausibility_terms(figures: Figures) -> dict[str, float]:
         "net": _log(min(figures["net"], MAX_RANKED_NET)),
         "crossing": _log_crossing(figures),
         "run": math.log1p(figures["crossing_cells"]),
-        "lines": _log(figures["lines"]),
+        "lines": _log(min(figures["lines"], MAX_RANKED_LINES)),
         "gain": _log_gain(figures),
-        "inliers_wide": math.log(figures["inliers_wide"] + WIDE_BY_CHANCE),
+        "inliers_wide": math.log(min(figures["inliers_wide"], MAX_RANKED_WIDE) + WIDE_BY_CHANCE),
         "keypoints": figures["keypoints"],
-        "inliers_near": math.log(figures["inliers_near"] + NEAR_BY_CHANCE),
+        "inliers_near": math.log(min(figures["inliers_near"], MAX_RANKED_NEAR) + NEAR_BY_CHANCE),
     }
 
 
@@ -93,16 +100,29 @@ def plausibility(figures: Figures) -> float:
     return sum(PLAUSIBILITY[name] * value for name, value in plausibility_terms(figures).items())
 
 
+def fit(figures: Figures) -> float:
+    """The part of the plausibility that does not grow with the area in common."""
+    terms = plausibility_terms(figures)
+    return sum(PLAUSIBILITY[name] * terms[name] for name in FIT)
+
+
+def stands_alone(figures: Figures) -> bool:
+    """Whether a pose with these figures might be joined if there were no other, and all its parts stayed."""
+    return confidence({**figures, "firmness": MAX_FIRMNESS}, MAX_MARGIN) >= ALONE_CONFIDENCE
+
+
 def margin(best: Figures, rival: Figures | None) -> float:
     """How clearly the best pose is to be preferred to a different one, in [0, MAX_MARGIN].
 
     Their difference in plausibility, a log-odds, and how far the rival falls behind in evidence that plausibility no
-    longer counts. Without a rival MAX_MARGIN.
+    longer counts. Without a rival MAX_MARGIN; none over a rival that stands alone and fits better.
     """
     if rival is None:
         return MAX_MARGIN
+    if fit(rival) - fit(best) > BETTER_FIT and stands_alone(rival):
+        return 0.0
     ahead = plausibility(best) - plausibility(rival)
-    still_seen = max(rival["net"], BEHIND_SHARE * MAX_RANKED_NET)
+    still_seen = max(rival["net"], MAX_RANKED_NET)
     ahead += BEHIND_WEIGHT * _log(BEHIND_SHARE * best["net"] / still_seen)
     return min(max(ahead, 0.0), MAX_MARGIN)
 

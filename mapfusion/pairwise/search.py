@@ -9,7 +9,7 @@ import numpy as np
 
 from mapfusion.pairwise.confidence import MAX_FIRMNESS, MAX_MARGIN, confidence, margin, plausibility
 from mapfusion.pairwise.correlation import correlate, likely_rotations
-from mapfusion.pairwise.evidence import MIN_EVIDENCE, Evidence, weigh
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.firmness import firmness
 from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, squared_offsets
 from mapfusion.pairwise.poses import Poses, differ, distinct, from_se2, to_se2
@@ -43,6 +43,8 @@ PROMISING_EVIDENCE = 40.0
 keypoints propose and that join their maps 97 % have as much, of the best poses of other pairs a quarter."""
 WORTH_SHARE = 0.2
 """A pose with less than this share of the best one's evidence is not looked at more closely."""
+MIN_RESIDUAL_CELLS = 0.3
+"""Cells are no points: walls are not placed better than this."""
 NUM_FIRST_LOOKS = 2
 """So many poses, those with the most evidence, say what may come of a pair."""
 
@@ -138,6 +140,16 @@ class Finding:
     num_matches: int = 0
     num_inliers: int = 0
     num_keypoints: tuple[int, int] = (0, 0)
+
+    @property
+    def covariance(self) -> Poses:
+        """(3, 3) of where the source's centre lies, cells, and of the rotation, radians.
+
+        The information matrix counts wall cells; neighbouring ones err together, so DEPENDENT_CELLS of them count as
+        one.
+        """
+        variance = DEPENDENT_CELLS * max(self.best.figures["residual_cells"], MIN_RESIDUAL_CELLS) ** 2
+        return np.asarray(variance * np.linalg.inv(self.information + 1e-3 * np.eye(3)), np.float64)
 
 
 def propose(

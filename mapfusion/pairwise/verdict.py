@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mapfusion.config import FusionConfig
@@ -15,7 +17,7 @@ from mapfusion.pairwise.confidence import (
     confidence,
     margin,
 )
-from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
+from mapfusion.pairwise.evidence import MIN_EVIDENCE, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
 from mapfusion.result import PairFusion
@@ -58,8 +60,9 @@ LEAST_FIRMNESS = {1.5: 0.1, 3.0: 0.2, 6.0: 0.0}
 straight walls, whose parts stay nowhere; but those agree closely."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
-MIN_RESIDUAL_CELLS = 0.3
-"""Cells are no points: walls are not placed better than this."""
+MAX_TURN_DEVIATION_DEG = {1.5: math.inf, 3.0: 0.9, 6.0: 0.45}
+"""Most standard deviation of the rotation by the tolerance, cells, within which walls agree: small maps of places that
+changed are joined two to five degrees off otherwise."""
 
 
 def too_little(target: PreparedMap, source: PreparedMap) -> PairFusion | None:
@@ -177,6 +180,13 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"(at least {_least_firmness(figures):.0%} where walls agree within {figures['tolerance_cells']:g} cells); "
             f"{agreement}"
         )
+    if leaves_rotation_open(finding):
+        most_deg = _max_turn_deviation_deg(figures)
+        return "loose", (
+            f"walls that agree within {figures['tolerance_cells']:g} cells only leave the rotation open by "
+            f"{_turn_deviation_deg(finding):.2f} degrees (standard deviation, at most {most_deg}): maps this small may "
+            f"well be joined some degrees off; {agreement}"
+        )
     if trust < least_trust:
         rivals = (
             "no rivals were looked for"
@@ -244,6 +254,20 @@ def is_adrift(figures: Figures) -> bool:
     return "firmness" in figures and figures["firmness"] < _least_firmness(figures)
 
 
+def leaves_rotation_open(finding: Finding) -> bool:
+    """Whether walls that do not agree closely hold the rotation too loosely."""
+    return _turn_deviation_deg(finding) > _max_turn_deviation_deg(finding.best.figures)
+
+
+def _max_turn_deviation_deg(figures: Figures) -> float:
+    return MAX_TURN_DEVIATION_DEG[figures["tolerance_cells"]]
+
+
+def _turn_deviation_deg(finding: Finding) -> float:
+    """Standard deviation of the rotation, degrees."""
+    return math.degrees(math.sqrt(finding.covariance[2, 2]))
+
+
 def _least_firmness(figures: Figures) -> float:
     return LEAST_FIRMNESS[figures["tolerance_cells"]]
 
@@ -259,13 +283,8 @@ def _is_loose(figures: Figures) -> bool:
 
 
 def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_target_source: SE2) -> FloatArray:
-    """(3, 3) of (x_m, y_m, yaw_rad) in the target's frame.
-
-    The information matrix counts wall cells; neighbouring ones err together, so DEPENDENT_CELLS of them count as one.
-    """
+    """(3, 3) of (x_m, y_m, yaw_rad) in the target's frame."""
     resolution_m = target.grid.resolution_m
-    variance = DEPENDENT_CELLS * max(finding.best.figures["residual_cells"], MIN_RESIDUAL_CELLS) ** 2
-    at_centre = variance * np.linalg.inv(finding.information + 1e-3 * np.eye(3))
     turn = SE2(0.0, 0.0, target.grid.T_frame_grid.yaw_rad).matrix()
     to_metres = turn * np.array([resolution_m, resolution_m, 1.0])
     # The centre's position and the yaw were estimated; the translation follows as centre - R(yaw) arm.
@@ -273,5 +292,5 @@ def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_ta
     arm = SE2(0.0, 0.0, T_target_source.yaw_rad).apply(centre)
     lever = np.array([[1.0, 0.0, arm[1]], [0.0, 1.0, -arm[0]], [0.0, 0.0, 1.0]])
     jacobian = lever @ to_metres
-    result: FloatArray = jacobian @ at_centre @ jacobian.T
+    result: FloatArray = jacobian @ finding.covariance @ jacobian.T
     return (result + result.T) / 2.0  # sums of 32-bit floats leave the information symmetric to seven digits only

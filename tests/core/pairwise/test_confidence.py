@@ -7,6 +7,7 @@ import math
 import pytest
 
 from mapfusion.pairwise.confidence import (
+    BETTER_FIT,
     CONFIDENCE,
     KNOWN_FIRMNESS,
     KNOWN_KEYPOINTS,
@@ -16,10 +17,12 @@ from mapfusion.pairwise.confidence import (
     closeness,
     confidence,
     confidence_terms,
+    fit,
     margin,
     plausibility,
     plausibility_terms,
     rigidity,
+    stands_alone,
 )
 
 FIGURES = {
@@ -137,12 +140,43 @@ def test_a_rival_that_falls_far_behind_counts_less_where_plausibility_cannot_tel
 
 
 @pytest.mark.parametrize("rival_net", [10.0, 30.0, 49.0])
-def test_the_margin_grows_steadily_with_the_evidence(rival_net: float) -> None:
+def test_the_margin_grows_with_the_evidence_and_without_a_jump(rival_net: float) -> None:
     def over_rival(net: float) -> float:
-        return margin(FIGURES | {"net": net}, FIGURES | {"net": rival_net, "lines": FIGURES["lines"] + 5.0})
+        return margin(FIGURES | {"net": net}, FIGURES | {"net": rival_net, "lines": FIGURES["lines"] - 1.0})
 
-    assert over_rival(100.001) == pytest.approx(over_rival(100.0), abs=1e-3)
-    assert over_rival(100.0) < over_rival(110.0) < MAX_MARGIN
+    for net in (50.0, 100.0):
+        assert over_rival(net + 0.001) == pytest.approx(over_rival(net), abs=1e-3)
+    assert over_rival(49.0) <= over_rival(50.0) <= over_rival(100.0) < over_rival(110.0) < MAX_MARGIN
+
+
+@pytest.mark.parametrize(
+    ("name", "enough"), [("net", 50.0), ("lines", 40.0), ("inliers_wide", 100.0), ("inliers_near", 40.0)]
+)
+def test_what_grows_with_the_common_area_counts_only_so_far(name: str, enough: float) -> None:
+    assert plausibility(FIGURES | {name: enough}) > plausibility(FIGURES | {name: 0.9 * enough})
+    assert plausibility(FIGURES | {name: 10.0 * enough}) == plausibility(FIGURES | {name: enough})
+
+
+def test_a_rival_that_stands_alone_and_fits_better_leaves_no_margin() -> None:
+    more = {"net": 300.0, "lines": 40.0, "inliers_near": 40.0, "inliers_wide": 100.0, "mutual_ratio": 1.0}
+    best = FIGURES | more | {"crossing": 0.05}
+    rival = FIGURES | {"net": 100.0, "lines": 20.0, "crossing": 0.0, "mutual_ratio": 0.7, "outside": 0.6}
+    assert stands_alone(rival)
+    assert fit(rival) - fit(best) > BETTER_FIT
+    assert plausibility(best) > plausibility(rival)
+    assert margin(best, rival) == 0.0
+    no_better = rival | {"crossing": 0.05}
+    assert stands_alone(no_better)
+    assert margin(best, no_better) > 1.0
+    weak = rival | {"lines": 5.0, "net": 15.0}
+    assert not stands_alone(weak)
+    assert margin(best, weak) > 1.0
+
+
+def test_how_well_a_pose_fits_does_not_grow_with_what_is_in_common() -> None:
+    assert fit(FIGURES | {"net": 50.0, "lines": 40.0, "inliers_near": 40.0, "inliers_wide": 100.0}) == fit(FIGURES)
+    for worse in ({"crossing": 0.1}, {"crossing_cells": 40.0}, {"ratio": 0.5}, {"keypoints": 1.0}):
+        assert fit(FIGURES | worse) < fit(FIGURES)
 
 
 def test_evidence_beyond_what_counts_makes_up_for_a_more_plausible_rival() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +52,7 @@ GOOD = {
 }
 AGREEMENT = Agreement(mae=5.0, overlap_cells=10_000, overlap_ratio=0.5, resolution_m=0.1)
 RIVAL_FIGURES = {"ratio": 0.4, "lines": 8.0, "keypoints": 1.0, "inliers_near": 20.0, "inliers_wide": 40.0}
+CROSSING = {"crossing": 0.3, "crossing_cells": 60.0}
 RIVAL = SE2(1.0, 2.0, 3.0)
 
 
@@ -62,7 +64,14 @@ def place() -> PreparedMap:
 def finding(rival_net: float | None = 30.0, **figures: float) -> Finding:
     """A search's finding; one that was only verified where `rival_net` is None."""
     rival = None if rival_net is None else Candidate(np.zeros(3), GOOD | RIVAL_FIGURES | {"net": rival_net})
-    return Finding(Candidate(np.zeros(3), GOOD | figures), 1000.0 * np.eye(3), rival, rival_net is not None)
+    information = np.diag([1e3, 1e3, 1e6])
+    return Finding(Candidate(np.zeros(3), GOOD | figures), information, rival, rival_net is not None)
+
+
+def unsure_finding(rival_net: float = 30.0, **figures: float) -> Finding:
+    """A finding whose walls cross the other map's free space, as its rival's do."""
+    rival = Candidate(np.zeros(3), GOOD | RIVAL_FIGURES | CROSSING | {"net": rival_net})
+    return replace(finding(**(CROSSING | figures)), rival=rival)
 
 
 def judged(place: PreparedMap, found: Finding, mae_threshold: float | None = None) -> PairFusion:
@@ -95,7 +104,7 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
         ("ambiguous", replace(finding(), rival=finding().best)),
         (
             "confidence",
-            finding(net=30.0, lines=4.0, rival_net=10.0, crossing_cells=40.0, crossing=0.1, mutual_ratio=0.5),
+            unsure_finding(net=30.0, lines=4.0, rival_net=10.0, crossing_cells=40.0, crossing=0.1, mutual_ratio=0.5),
         ),
     ],
 )
@@ -264,12 +273,28 @@ def test_covariance_is_the_translation_s_at_the_frame_s_origin(place: PreparedMa
     assert far.covariance[2, 2] == pytest.approx(near.covariance[2, 2])
 
 
+@pytest.mark.parametrize(("tolerance_cells", "most_deg"), [(3.0, 0.9), (6.0, 0.45)])
+def test_walls_that_agree_loosely_must_hold_the_rotation(
+    place: PreparedMap, tolerance_cells: float, most_deg: float
+) -> None:
+    def turned_by(deviation_deg: float, tolerance_cells: float) -> Finding:
+        found = finding(tolerance_cells=tolerance_cells)
+        variance = 12.0 * found.best.figures["residual_cells"] ** 2
+        return replace(found, information=np.diag([1e3, 1e3, variance / math.radians(deviation_deg) ** 2]))
+
+    assert judged(place, turned_by(0.9 * most_deg, tolerance_cells)).accepted
+    loose = judged(place, turned_by(1.2 * most_deg, tolerance_cells))
+    assert (loose.accepted, loose.gate) == (False, "loose")
+    assert f"{1.2 * most_deg:.2f} degrees" in loose.reason
+    assert judged(place, turned_by(1.2 * most_deg, 1.5)).accepted
+
+
 def test_a_search_that_ended_early_names_no_rivals_evidence(place: PreparedMap) -> None:
-    unsure = {"lines": 9.0, "crossing": 0.3, "crossing_cells": 60.0, "mutual_ratio": 0.6}
-    whole = judged(place, finding(**unsure))
+    unsure = unsure_finding(lines=9.0, mutual_ratio=0.6)
+    whole = judged(place, unsure)
     assert whole.gate == "confidence"
     assert "the best different alignment has 0.10 of the evidence" in whole.reason
-    early = judged(place, replace(finding(**unsure), is_hopeless=True))
+    early = judged(place, replace(unsure, is_hopeless=True))
     assert early.gate == "confidence"
     assert "no rivals were looked for" in early.reason
     assert "different alignment" not in early.reason
