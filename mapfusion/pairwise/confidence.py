@@ -111,6 +111,11 @@ def stands_alone(figures: Figures) -> bool:
     return confidence({**figures, "firmness": MAX_FIRMNESS}, MAX_MARGIN) >= ALONE_CONFIDENCE
 
 
+def fits_better(rival: Figures, best: Figures) -> bool:
+    """Whether a rival stands alone and fits better than what has more evidence."""
+    return fit(rival) - fit(best) > BETTER_FIT and stands_alone(rival)
+
+
 def margin(best: Figures, rival: Figures | None) -> float:
     """How clearly the best pose is to be preferred to a different one, in [0, MAX_MARGIN].
 
@@ -119,7 +124,7 @@ def margin(best: Figures, rival: Figures | None) -> float:
     """
     if rival is None:
         return MAX_MARGIN
-    if fit(rival) - fit(best) > BETTER_FIT and stands_alone(rival):
+    if fits_better(rival, best):
         return 0.0
     ahead = plausibility(best) - plausibility(rival)
     still_seen = max(rival["net"], MAX_RANKED_NET)

@@ -15,6 +15,7 @@ from mapfusion.pairwise.confidence import (
     RIGID_TOLERANCE_CELLS,
     Figures,
     confidence,
+    fits_better,
     margin,
 )
 from mapfusion.pairwise.evidence import MIN_EVIDENCE, TOLERANCES_CELLS
@@ -169,9 +170,14 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
     least_trust = least_confidence(figures)
     is_rivalled = _margin(finding) < least_margin or trust < least_trust <= confidence(figures, MAX_MARGIN)
     if finding.rival is not None and is_rivalled:
+        how_well = (
+            "would join the maps by itself, and fits better where it lays them over each other"
+            if fits_better(finding.rival.figures, figures)
+            else "explains the maps almost as well"
+        )
         return "ambiguous", (
-            "a second, different alignment explains the maps almost as well "
-            f"({_rival_ratio(finding):.2f} of the evidence); the best: {agreement}"
+            f"a second, different alignment {how_well} ({_rival_ratio(finding):.2f} of the evidence); the best: "
+            f"{agreement}"
         )
     if is_adrift(figures):
         return "parts", (

@@ -18,6 +18,7 @@ from mapfusion.pairwise.confidence import (
     confidence,
     confidence_terms,
     fit,
+    fits_better,
     margin,
     plausibility,
     plausibility_terms,
@@ -164,9 +165,11 @@ def test_a_rival_that_stands_alone_and_fits_better_leaves_no_margin() -> None:
     assert stands_alone(rival)
     assert fit(rival) - fit(best) > BETTER_FIT
     assert plausibility(best) > plausibility(rival)
+    assert fits_better(rival, best)
     assert margin(best, rival) == 0.0
     no_better = rival | {"crossing": 0.05}
     assert stands_alone(no_better)
+    assert not fits_better(no_better, best)
     assert margin(best, no_better) > 1.0
     weak = rival | {"lines": 5.0, "net": 15.0}
     assert not stands_alone(weak)

@@ -289,6 +289,15 @@ def test_walls_that_agree_loosely_must_hold_the_rotation(
     assert judged(place, turned_by(1.2 * most_deg, 1.5)).accepted
 
 
+def test_a_rival_with_less_evidence_that_fits_better_makes_a_pair_ambiguous(place: PreparedMap) -> None:
+    better = Candidate(np.zeros(3), GOOD | {"net": 150.0, "lines": 15.0, "mutual_ratio": 0.4})
+    refused = judged(place, replace(finding(crossing=0.05, crossing_cells=20.0), rival=better))
+    assert refused.gate == "ambiguous"
+    assert "fits better where it lays them over each other (0.50 of the evidence)" in refused.reason
+    assert refused.rival == RIVAL
+    assert judged(place, replace(finding(), rival=better)).accepted
+
+
 def test_a_search_that_ended_early_names_no_rivals_evidence(place: PreparedMap) -> None:
     unsure = unsure_finding(lines=9.0, mutual_ratio=0.6)
     whole = judged(place, unsure)
