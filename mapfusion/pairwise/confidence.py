@@ -13,14 +13,14 @@ from collections.abc import Mapping
 Figures = Mapping[str, float]
 
 PLAUSIBILITY = {
-    "net": 1.067,
-    "crossing": -0.979,
-    "run": -0.629,
-    "lines": 2.539,
-    "gain": 1.740,
-    "inliers_wide": 0.620,
-    "keypoints": 1.042,
-    "inliers_near": 1.002,
+    "net": 1.165,
+    "crossing": -0.936,
+    "run": -0.619,
+    "lines": 2.574,
+    "gain": 1.715,
+    "inliers_wide": 0.791,
+    "keypoints": 1.037,
+    "inliers_near": 0.989,
 }
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
@@ -46,7 +46,7 @@ would."""
 
 MAX_NET = 30.0
 """More evidence than this tells no more of a pose: what repeats itself has it too."""
-MAX_RANKED_NET, MAX_RANKED_LINES, MAX_RANKED_WIDE, MAX_RANKED_NEAR = 50.0, 40.0, 100.0, 40.0
+MAX_RANKED_NET, MAX_RANKED_LINES, MAX_RANKED_WIDE, MAX_RANKED_NEAR = 50.0, 40.0, 200.0, 100.0
 """More evidence, walls and explained matches than these tell no more of two poses either: they grow with the area that
 a pose has in common, and where a place repeats itself the right pose need not have most of it."""
 WIDE_BY_CHANCE, NEAR_BY_CHANCE = 15.0, 6.0

@@ -151,7 +151,7 @@ def test_the_margin_grows_with_the_evidence_and_without_a_jump(rival_net: float)
 
 
 @pytest.mark.parametrize(
-    ("name", "enough"), [("net", 50.0), ("lines", 40.0), ("inliers_wide", 100.0), ("inliers_near", 40.0)]
+    ("name", "enough"), [("net", 50.0), ("lines", 40.0), ("inliers_wide", 200.0), ("inliers_near", 100.0)]
 )
 def test_what_grows_with_the_common_area_counts_only_so_far(name: str, enough: float) -> None:
     assert plausibility(FIGURES | {name: enough}) > plausibility(FIGURES | {name: 0.9 * enough})
@@ -159,7 +159,7 @@ def test_what_grows_with_the_common_area_counts_only_so_far(name: str, enough: f
 
 
 def test_a_rival_that_stands_alone_and_fits_better_leaves_no_margin() -> None:
-    more = {"net": 300.0, "lines": 40.0, "inliers_near": 40.0, "inliers_wide": 100.0, "mutual_ratio": 1.0}
+    more = {"net": 300.0, "lines": 40.0, "inliers_near": 100.0, "inliers_wide": 200.0, "mutual_ratio": 1.0}
     best = FIGURES | more | {"crossing": 0.05}
     rival = FIGURES | {"net": 100.0, "lines": 20.0, "crossing": 0.0, "mutual_ratio": 0.7, "outside": 0.6}
     assert stands_alone(rival)
@@ -177,7 +177,7 @@ def test_a_rival_that_stands_alone_and_fits_better_leaves_no_margin() -> None:
 
 
 def test_how_well_a_pose_fits_does_not_grow_with_what_is_in_common() -> None:
-    assert fit(FIGURES | {"net": 50.0, "lines": 40.0, "inliers_near": 40.0, "inliers_wide": 100.0}) == fit(FIGURES)
+    assert fit(FIGURES | {"net": 50.0, "lines": 40.0, "inliers_near": 100.0, "inliers_wide": 200.0}) == fit(FIGURES)
     for worse in ({"crossing": 0.1}, {"crossing_cells": 40.0}, {"ratio": 0.5}, {"keypoints": 1.0}):
         assert fit(FIGURES | worse) < fit(FIGURES)
 
