@@ -5,9 +5,9 @@
 PAIRS are folders of map pairs with truth (pairs.json with id, a, b, M, kp_a, kp_b, same_plan, and images). To the pairs
 themselves come views cut from them by half planes, the second one turned at random: of one place with overlap, of
 one place without (whatever is claimed there is wrong), and of different places; views of a map and of a bent copy of
-it; views of places with a second wing like the first; and pairs of both generators of `mapfusion evaluate`. Nearly half
-of all these are noisy, and the folders' pairs of real and hand-held maps come once more with noise. Buildings are held
-out whole, in turn, when the models are judged.
+it; and pairs of both generators of `mapfusion evaluate`. Nearly half of all these are noisy, and the folders' pairs of
+real and hand-held maps come once more with noise. Buildings are held out whole, in turn, when the models are judged.
+Views of places with a second wing like the first are judged too, but nothing is fitted on them.
 """
 
 from __future__ import annotations
@@ -353,17 +353,20 @@ def fit_confidence(terms: FloatArray, right: npt.NDArray[np.bool_], counts: npt.
 
 def report(all_judged: Sequence[Judged]) -> None:
     """Prints the weights, and what would be joined of places that were held out."""
-    print("plausibility", {name: round(value, 3) for name, value in fit_plausibility(all_judged).items()})
+    is_made = np.array([one.kind.startswith("repeated") for one in all_judged])
+    ranked = [one for one, made in zip(all_judged, is_made, strict=True) if not made]
+    print("plausibility", {name: round(value, 3) for name, value in fit_plausibility(ranked).items()})
     terms, right, counts = table(all_judged)
+    fits = counts & ~is_made
     print(
         "confidence",
-        {n: round(float(w), 3) for n, w in zip(CONFIDENCE, fit_confidence(terms, right, counts), strict=True)},
+        {n: round(float(w), 3) for n, w in zip(CONFIDENCE, fit_confidence(terms, right, fits), strict=True)},
     )
     folds = np.array([zlib.crc32(one.place.encode()) % NUM_FOLDS for one in all_judged])
     sure = np.zeros(len(terms))
     for fold in range(NUM_FOLDS):
         kept, held = folds != fold, folds == fold
-        weights = fit_confidence(terms[kept], right[kept], counts[kept])
+        weights = fit_confidence(terms[kept], right[kept], fits[kept])
         sure[held] = 1.0 / (1.0 + np.exp(-(terms[held] @ weights)))
     best = [one.figures[0] for one in all_judged]
     joined = sure >= np.array([least_confidence(f) for f in best])
