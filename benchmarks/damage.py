@@ -16,6 +16,7 @@ BEND_EVERY_CELLS = 150
 MAX_BEND_SIGMA_CELLS = 8.0
 MAX_THINGS = 11
 MAX_CELLS_REPEATED = 4_000_000
+MARGIN_M = 1.0
 
 
 def flipped(grid: OccupancyGrid, share: float, rng: np.random.Generator) -> OccupancyGrid:
@@ -87,17 +88,16 @@ def repeated(
     r, points = one.resolution_m, one.centres_m(one.known)
     angle = rng.uniform(-math.pi, math.pi)
     along, across = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
-    reach, middle = points @ along, points @ across
+    forwards, sideways = points @ along, points @ across
     if rng.random() < 0.6:
-        centre = along * np.quantile(reach, rng.uniform(0.9, 1.0)) + across * np.quantile(
-            middle, rng.uniform(0.35, 0.65)
-        )
+        at = np.quantile(forwards, rng.uniform(0.9, 1.0)), np.quantile(sideways, rng.uniform(0.35, 0.65))
+        centre = along * at[0] + across * at[1]
         wing = SE2(2.0 * centre[0], 2.0 * centre[1], math.pi)
     else:
-        shift = along * np.ptp(reach) * rng.uniform(0.8, 1.0)
+        shift = along * np.ptp(forwards) * rng.uniform(0.8, 1.0)
         wing = SE2(float(shift[0]), float(shift[1]), 0.0)
     everywhere = np.concatenate([points, wing.apply(points)])
-    low, high = everywhere.min(axis=0) - 1.0, everywhere.max(axis=0) + 1.0
+    low, high = everywhere.min(axis=0) - MARGIN_M, everywhere.max(axis=0) + MARGIN_M
     cols, rows = (math.ceil(v) for v in (high - low) / r)
     if rows * cols > MAX_CELLS_REPEATED:
         return None

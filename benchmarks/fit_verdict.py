@@ -7,7 +7,8 @@ themselves come views cut from them by half planes, the second one turned at ran
 one place without (whatever is claimed there is wrong), and of different places; views of a map and of a bent copy of
 it; and pairs of both generators of `mapfusion evaluate`. Nearly half of all these are noisy, and the folders' pairs of
 real and hand-held maps come once more with noise. Buildings are held out whole, in turn, when the models are judged.
-Views of places with a second wing like the first are judged too, but nothing is fitted on them.
+Views of places with a second wing like the first are judged too, but nothing is fitted on them. The margin takes which
+rivals are sure enough alone from the confidence as it stands: after a large change fit twice.
 """
 
 from __future__ import annotations
@@ -90,7 +91,8 @@ class Judged:
     """The candidates of a pair, the most plausible first, the polished best one in front of them.
 
     Attributes:
-        pair: The pair, without its maps.
+        kind: Where the pair comes from.
+        place: What is held out together.
         figures: Of each candidate.
         is_right: Of each candidate.
         is_near: Of each candidate.
@@ -109,12 +111,11 @@ class Judged:
 
 def read_pairs(folder: Path) -> Iterator[Pair]:
     """The pairs of a folder, pixels turned into metres of frames at the images' lower left corners."""
-    settings = folder / "set.json"
-    is_binary = settings.exists() and json.loads(settings.read_text()).get("binary", False)
+    binary = is_binary(folder)
     for record in json.loads((folder / "pairs.json").read_text()):
         if record.get("same_plan"):
             continue
-        a, b = (read_grid(folder / record[side], is_binary) for side in "ab")
+        a, b = (read_grid(folder / record[side], binary) for side in "ab")
         T, points = None, None
         if record["M"] is not None:
             matrix = _pixels_to_m(a) @ np.vstack([record["M"], [0, 0, 1]]) @ np.linalg.inv(_pixels_to_m(b))
@@ -124,19 +125,25 @@ def read_pairs(folder: Path) -> Iterator[Pair]:
         yield Pair(folder.name, _place(folder, record["a"]), a, b, T, points)
 
 
+def is_binary(folder: Path) -> bool:
+    """Whether the images of a folder say wall or free only, as its set.json has it."""
+    settings = folder / "set.json"
+    return settings.exists() and bool(json.loads(settings.read_text()).get("binary", False))
+
+
 def _place(folder: Path, image: str) -> str:
     """What an image's name begins with, before any digit; the folder and the name where that is nothing."""
     letters = re.match("[A-Za-z_]*", image.removeprefix("neg_"))
     return (letters.group().strip("_") if letters else "") or f"{folder.name} {image}"
 
 
-def read_grid(path: Path, is_binary: bool = False) -> OccupancyGrid:
+def read_grid(path: Path, binary: bool = False) -> OccupancyGrid:
     """An 8-bit image as a map: dark is wall, bright is free; of binary ones bright is wall and the rest free."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise SystemExit(f"{path} is no image")
     cells: Cells = np.full(image.shape, -1, np.int8)
-    if is_binary:
+    if binary:
         cells[:] = np.where(image > 127, 100, 0)
     else:
         cells[image > 230], cells[image < 100] = 0, 100
@@ -182,9 +189,12 @@ def bent_views(pair: Pair, number: int, rng: np.random.Generator) -> Iterator[Pa
 
 
 def repeated_views(pair: Pair, number: int, rng: np.random.Generator) -> Iterator[Pair]:
-    """Views of the place of a pair with a second wing like it: with overlap, or apart, where any claim is wrong."""
+    """Views of the place of a pair with a second wing like it: with overlap, or apart, where any claim is wrong.
+
+    None of bent maps, which no wing fits.
+    """
     assert pair.T_a_b is not None
-    for _ in range(number):
+    for _ in range(number if pair.key_points is None else 0):
         maps = repeated(pair.a, pair.b, pair.T_a_b, rng)
         if maps is None:
             continue

@@ -28,7 +28,7 @@ COARSE_M = 0.1
 
 
 def varied(pair: Pair, variant: str, draw: int = 0) -> Pair:
-    """The pair under a variant; its noise depends on the pair and the number of the draw alone."""
+    """The pair under a variant; its noise depends on the place and the number of the draw alone."""
     name, _, amount = variant.partition("-")
     place = zlib.crc32(pair.place.encode())
     rng = np.random.default_rng([place, draw] if draw else place)
@@ -77,7 +77,10 @@ def main() -> None:
                     bad += sum(joined and not right for joined, right in found)
                 mean = f", in the mean {np.mean(good):.1f}" if len(good) > 1 else ""
                 joined = ", ".join(map(str, good)) + mean
-                print(f"{folder.name:14} {variant:12} joined rightly {joined} of {number}, falsely {bad}", flush=True)
+                print(
+                    f"{folder.name:14} {variant:12} joined rightly {joined} of {number}; falsely {bad} in all",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from damage import flipped, jittered
-from fit_verdict import cut, read_grid, turned
+from fit_verdict import cut, is_binary, read_grid, turned
 
 from mapfusion import OccupancyGrid, PairFusion, fuse_pair
 
@@ -57,7 +57,7 @@ def attempt(job: Job) -> PairFusion:
     cv2.setNumThreads(1)
     a, b, variant, seed = job
     rng = np.random.default_rng(zlib.crc32(f"{a.stem} {b.stem} {variant} {seed}".encode()))
-    target, source = (varied(read_grid(path), variant, rng) for path in (a, b))
+    target, source = (varied(read_grid(path, is_binary(path.parent)), variant, rng) for path in (a, b))
     return fuse_pair(target, source)
 
 
@@ -72,6 +72,8 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[0])
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
+    if (args.against and args.one_building) or (args.every > 1 and not args.against):
+        parser.error("--every goes with --against, and --one-building without")
     cv2.setNumThreads(1)  # processes that fork off must not inherit a pool of threads
     maps = sorted(args.folder.glob("*.png"))
     if args.against:

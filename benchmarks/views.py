@@ -4,7 +4,7 @@
 
 PAIRS are folders as `fit_verdict.py` reads them. Kinds of views are its: overlapping, without overlap, of different
 places, and of places with a second wing like the first; nearly half are noisy. Almost right is up to 15 cells and 6
-degrees off, and counts as a false join as well.
+degrees off: a false join that is counted by itself.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from fit_verdict import Pair, compare, read_pairs, repeated_views, views, with_n
 
 from mapfusion import fuse_pair
 
-KINDS = ("pairs", "right before the gate", "joined rightly", "almost rightly", "wrongly")
+COLUMNS = ("pairs", "right before the gate", "joined rightly", "almost rightly", "wrongly")
 
 
 def attempt(pair: Pair) -> tuple[str, str, float, list[bool]]:
-    """Kind and place of a pair, the confidence, and what holds of it, in the order of KINDS."""
+    """Kind and place of a pair, the confidence, and what holds of it, in the order of COLUMNS."""
     cv2.setNumThreads(1)
     result = fuse_pair(pair.a, pair.b)
     T, joined = result.T_target_source, result.accepted
@@ -53,12 +53,12 @@ def main() -> None:
     rows: Counter[tuple[str, str]] = Counter()
     with ProcessPoolExecutor(args.jobs) as executor:
         for kind, place, confidence, found in executor.map(attempt, cut, chunksize=4):
-            for name, holds in zip(KINDS, found, strict=True):
+            for name, holds in zip(COLUMNS, found, strict=True):
                 rows[kind, name] += holds
             if any(found[3:]):
-                print(f"    {place}, {kind}: {KINDS[3 if found[3] else 4]}, {confidence:.3f}", flush=True)
+                print(f"    {place}, {kind}: {COLUMNS[3 if found[3] else 4]}, {confidence:.3f}", flush=True)
     for kind in dict.fromkeys(pair.kind for pair in cut):
-        print(f"{kind:25} " + ", ".join(f"{name} {rows[kind, name]}" for name in KINDS), flush=True)
+        print(f"{kind:25} " + ", ".join(f"{name} {rows[kind, name]}" for name in COLUMNS), flush=True)
 
 
 if __name__ == "__main__":

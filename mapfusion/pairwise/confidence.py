@@ -58,12 +58,15 @@ MAX_OUTSIDE = 0.7
 MAX_MARGIN = 4.0
 """Margin over a rival from which on it is none."""
 BEHIND_SHARE, BEHIND_WEIGHT = 0.5, 3.0
-"""Where the best pose has more evidence than plausibility counts, a rival with less than the first of it falls behind
-by the second for each natural logarithm, as far as the first of MAX_RANKED_NET: below that, plausibility sees it."""
-FIT, BETTER_FIT = ("crossing", "run", "gain", "keypoints"), 0.5
-ALONE_CONFIDENCE = 0.86
-"""A rival that would have this confidence without the other pose, and by the first fits better by more than the second,
-may well be right: the other has more in common, but so has a place with a wing that repeats it."""
+"""A rival with less than the first of the best one's evidence falls behind by the second for each natural logarithm,
+down to MAX_RANKED_NET: below that, plausibility sees it."""
+FIT = ("crossing", "run", "gain", "keypoints")
+"""Terms of the plausibility that hardly grow with the area in common."""
+BETTER_FIT = 0.5
+"""A rival that is sure enough alone and fits better than the best pose by more than this may well be right: a place
+that repeats itself may have more in common where it does not belong."""
+MIN_CONFIDENCE = 0.86
+"""Confidence from which on a pose is sure enough, unless something about it asks for more."""
 MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
 """Less firmness than the first and more than the second tells no more. With less than the first, maps that are not bent
 are not joined."""
@@ -101,26 +104,26 @@ def plausibility(figures: Figures) -> float:
 
 
 def fit(figures: Figures) -> float:
-    """The part of the plausibility that does not grow with the area in common."""
+    """The part of the plausibility that hardly grows with the area in common."""
     terms = plausibility_terms(figures)
     return sum(PLAUSIBILITY[name] * terms[name] for name in FIT)
 
 
-def stands_alone(figures: Figures) -> bool:
-    """Whether a pose with these figures might be joined if there were no other, and all its parts stayed."""
-    return confidence({**figures, "firmness": MAX_FIRMNESS}, MAX_MARGIN) >= ALONE_CONFIDENCE
+def confidence_alone(figures: Figures) -> float:
+    """The confidence that a pose with these figures would have without rivals, if all its parts stayed."""
+    return confidence({**figures, "firmness": MAX_FIRMNESS}, MAX_MARGIN)
 
 
 def fits_better(rival: Figures, best: Figures) -> bool:
-    """Whether a rival stands alone and fits better than what has more evidence."""
-    return fit(rival) - fit(best) > BETTER_FIT and stands_alone(rival)
+    """Whether a rival is sure enough alone and fits better than the best pose."""
+    return fit(rival) - fit(best) > BETTER_FIT and confidence_alone(rival) >= MIN_CONFIDENCE
 
 
 def margin(best: Figures, rival: Figures | None) -> float:
     """How clearly the best pose is to be preferred to a different one, in [0, MAX_MARGIN].
 
     Their difference in plausibility, a log-odds, and how far the rival falls behind in evidence that plausibility no
-    longer counts. Without a rival MAX_MARGIN; none over a rival that stands alone and fits better.
+    longer counts. Without a rival MAX_MARGIN; 0 over a rival that is sure enough alone and fits better.
     """
     if rival is None:
         return MAX_MARGIN

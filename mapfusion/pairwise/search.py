@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from mapfusion.pairwise.confidence import MAX_FIRMNESS, MAX_MARGIN, confidence, margin, plausibility
+from mapfusion.pairwise.confidence import confidence_alone, margin, plausibility
 from mapfusion.pairwise.correlation import correlate, likely_rotations
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.firmness import firmness
@@ -252,8 +252,8 @@ def examine(
 
 
 def _outlook(candidates: list[Candidate]) -> float:
-    """The confidence that the most hopeful of the candidates would have without rivals, if all its parts stayed."""
-    return max(confidence({**one.figures, "firmness": MAX_FIRMNESS}, MAX_MARGIN) for one in candidates)
+    """The confidence that the most hopeful of the candidates would have alone."""
+    return max(confidence_alone(one.figures) for one in candidates)
 
 
 def is_promising(hypotheses: Hypotheses) -> bool:
@@ -367,13 +367,16 @@ def recheck(target: PreparedMap, source: PreparedMap, pose: Poses, matches: Matc
     """One pose (3,), refined with every point and weighed, whatever else might fit; without matches by its walls."""
     assert target.field is not None
     assert source.field is not None
-    poses, information = refine(target.field, source.field, pose[None], source.centre, POLISH_REACHES, POLISH_POINTS)
-    if differ(pose[None], poses, source.centre, SLIGHT_CELLS, SLIGHT_DEGREES).any():
+    fields, centre = (target.field, source.field), source.centre
+    poses, (information,) = refine(*fields, pose[None], centre, POLISH_REACHES, POLISH_POINTS)
+    if differ(pose[None], poses, centre, SLIGHT_CELLS, SLIGHT_DEGREES).any():
         poses = np.concatenate([poses, pose[None]])
     evidence = weigh(target, source, poses, EVIDENCE_POINTS)
     # A bent map may fit better as it was found from afar than where its nearest walls draw it.
     best = 0 if evidence.net[0] >= 0.9 * evidence.net[-1] else 1
-    return Finding(_candidate(target, source, poses[best], evidence, best, matches), information[0])
+    if best == 1:
+        _, (information,) = refine(*fields, pose[None], centre, POLISH_REACHES[-1:], POLISH_POINTS)
+    return Finding(_candidate(target, source, poses[best], evidence, best, matches), information)
 
 
 def _as_it_is(target: PreparedMap, source: PreparedMap, candidate: Candidate) -> Finding:

@@ -11,6 +11,7 @@ from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.confidence import (
     MAX_FIRMNESS,
     MAX_MARGIN,
+    MIN_CONFIDENCE,
     MIN_FIRMNESS,
     RIGID_TOLERANCE_CELLS,
     Figures,
@@ -36,7 +37,6 @@ MIN_MARGIN, SLIDING_MARGIN = 0.5, 2.0
 hold one direction so weakly that the pose may slide."""
 KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
-MIN_CONFIDENCE = 0.86
 MIN_RATIO = 0.2
 """Least share of the walls in the common area that must agree, however few would by chance."""
 SMALL_OVERLAP = 0.4
@@ -171,7 +171,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
     is_rivalled = _margin(finding) < least_margin or trust < least_trust <= confidence(figures, MAX_MARGIN)
     if finding.rival is not None and is_rivalled:
         how_well = (
-            "would join the maps by itself, and fits better where it lays them over each other"
+            "would be sure enough by itself, and fits better where it lays the maps over each other"
             if fits_better(finding.rival.figures, figures)
             else "explains the maps almost as well"
         )
@@ -186,13 +186,6 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"(at least {_least_firmness(figures):.0%} where walls agree within {figures['tolerance_cells']:g} cells); "
             f"{agreement}"
         )
-    if leaves_rotation_open(finding):
-        most_deg = _max_turn_deviation_deg(figures)
-        return "loose", (
-            f"walls that agree within {figures['tolerance_cells']:g} cells only leave the rotation open by "
-            f"{_turn_deviation_deg(finding):.2f} degrees (standard deviation, at most {most_deg}): maps this small may "
-            f"well be joined some degrees off; {agreement}"
-        )
     if trust < least_trust:
         rivals = (
             "no rivals were looked for"
@@ -204,6 +197,13 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"{figures['lines']:.0f} different walls; {figures['opposite']:.0%} lie on walls seen from the other "
             f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, {rivals}"
+        )
+    if leaves_rotation_open(finding):
+        most_deg = _max_turn_deviation_deg(figures)
+        return "loose", (
+            f"walls that agree within {figures['tolerance_cells']:g} cells only leave the rotation open by "
+            f"{_turn_deviation_deg(finding):.2f} degrees (standard deviation, at most {most_deg}): maps this small may "
+            f"well be joined some degrees off; {agreement}"
         )
     return "", ""
 

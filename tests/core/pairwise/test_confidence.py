@@ -13,9 +13,11 @@ from mapfusion.pairwise.confidence import (
     KNOWN_KEYPOINTS,
     MAX_MARGIN,
     MAX_NET,
+    MIN_CONFIDENCE,
     PLAUSIBILITY,
     closeness,
     confidence,
+    confidence_alone,
     confidence_terms,
     fit,
     fits_better,
@@ -23,7 +25,6 @@ from mapfusion.pairwise.confidence import (
     plausibility,
     plausibility_terms,
     rigidity,
-    stands_alone,
 )
 
 FIGURES = {
@@ -158,25 +159,34 @@ def test_what_grows_with_the_common_area_counts_only_so_far(name: str, enough: f
     assert plausibility(FIGURES | {name: 10.0 * enough}) == plausibility(FIGURES | {name: enough})
 
 
-def test_a_rival_that_stands_alone_and_fits_better_leaves_no_margin() -> None:
-    more = {"net": 300.0, "lines": 40.0, "inliers_near": 100.0, "inliers_wide": 200.0, "mutual_ratio": 1.0}
-    best = FIGURES | more | {"crossing": 0.05}
-    rival = FIGURES | {"net": 100.0, "lines": 20.0, "crossing": 0.0, "mutual_ratio": 0.7, "outside": 0.6}
-    assert stands_alone(rival)
-    assert fit(rival) - fit(best) > BETTER_FIT
+MORE = {"net": 300.0, "lines": 40.0, "inliers_near": 100.0, "inliers_wide": 200.0, "mutual_ratio": 1.0}
+ALONE = FIGURES | {"net": 100.0, "lines": 20.0, "mutual_ratio": 0.7, "outside": 0.6}
+
+
+@pytest.mark.parametrize(("better_by", "is_better"), [(0.4, False), (0.6, True)])
+def test_a_rival_that_is_sure_alone_and_fits_better_leaves_no_margin(better_by: float, is_better: bool) -> None:
+    best, rival = FIGURES | MORE, ALONE | {"keypoints": FIGURES["keypoints"] + better_by / PLAUSIBILITY["keypoints"]}
+    assert fit(rival) - fit(best) == pytest.approx(better_by)
+    assert confidence_alone(rival) >= MIN_CONFIDENCE
     assert plausibility(best) > plausibility(rival)
-    assert fits_better(rival, best)
-    assert margin(best, rival) == 0.0
-    no_better = rival | {"crossing": 0.05}
-    assert stands_alone(no_better)
-    assert not fits_better(no_better, best)
-    assert margin(best, no_better) > 1.0
-    weak = rival | {"lines": 5.0, "net": 15.0}
-    assert not stands_alone(weak)
+    assert fits_better(rival, best) == is_better == (better_by > BETTER_FIT)
+    assert (margin(best, rival) == 0.0) == is_better
+
+
+def test_a_rival_that_is_not_sure_alone_is_only_less_plausible() -> None:
+    best, weak = FIGURES | MORE | {"crossing": 0.2}, ALONE | {"lines": 10.0, "net": 15.0}
+    assert fit(weak) - fit(best) > BETTER_FIT
+    assert 0.5 < confidence_alone(weak) < MIN_CONFIDENCE
+    assert not fits_better(weak, best)
     assert margin(best, weak) > 1.0
 
 
-def test_how_well_a_pose_fits_does_not_grow_with_what_is_in_common() -> None:
+def test_alone_a_pose_has_no_rival_and_all_its_parts_stay() -> None:
+    loose = FIGURES | {"firmness": 0.0, "mutual_ratio": 0.6}
+    assert confidence_alone(loose) == confidence(loose | {"firmness": 0.4}, MAX_MARGIN) > confidence(loose, MAX_MARGIN)
+
+
+def test_how_well_a_pose_fits_is_not_how_much_is_in_common() -> None:
     assert fit(FIGURES | {"net": 50.0, "lines": 40.0, "inliers_near": 100.0, "inliers_wide": 200.0}) == fit(FIGURES)
     for worse in ({"crossing": 0.1}, {"crossing_cells": 40.0}, {"ratio": 0.5}, {"keypoints": 1.0}):
         assert fit(FIGURES | worse) < fit(FIGURES)
@@ -184,7 +194,7 @@ def test_how_well_a_pose_fits_does_not_grow_with_what_is_in_common() -> None:
 
 def test_evidence_beyond_what_counts_makes_up_for_a_more_plausible_rival() -> None:
     best = FIGURES | {"net": 400.0, "keypoints": 1.0}
-    behind = best | {"net": 150.0, "keypoints": 1.5}
+    behind = best | {"net": 150.0, "keypoints": 1.4}
     assert plausibility(behind) > plausibility(best)
     ahead = plausibility(best) - plausibility(behind) + 3.0 * math.log(200.0 / 150.0)
     assert margin(best, behind) == pytest.approx(ahead)

@@ -11,7 +11,9 @@ import pytest
 from mapfusion.evaluation.pairs import make_pair
 from mapfusion.pairwise import search
 from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION
+from mapfusion.pairwise.evidence import weigh
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap, prepare
+from mapfusion.pairwise.refine import refine
 from mapfusion.pairwise.scrutiny import scrutinise
 from mapfusion.pairwise.search import (
     LARGE_CELLS,
@@ -59,6 +61,34 @@ def test_what_is_the_same_alignment_is_no_rival(place: PreparedMap) -> None:
     finding = Finding(candidate(0.0, 30.0), np.eye(3), None, is_searched=True)
     other = Finding(candidate(2.0, 31.0), np.eye(3), candidate(3.0, 20.0), is_searched=True)
     assert with_rivals_of(finding, other, place, place).rival is None
+
+
+def test_what_walls_fix_belongs_to_the_pose_that_is_kept(place: PreparedMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    def favouring_the_last(*args: Any) -> Any:
+        evidence = weigh(*args)
+        return replace(
+            evidence, net=evidence.net * np.where(np.arange(len(evidence.net)) + 1 < len(evidence.net), 0.01, 1.0)
+        )
+
+    assert place.field is not None
+    beside = np.array([2.0, 0.0, 0.0])
+    polished = search.recheck(place, place, beside)
+    monkeypatch.setattr(search, "weigh", favouring_the_last)
+    kept = search.recheck(place, place, beside)
+    assert np.array_equal(kept.best.pose, beside)
+    assert not np.array_equal(polished.best.pose, beside)
+    _, (there,) = refine(
+        place.field, place.field, beside[None], place.centre, search.POLISH_REACHES[-1:], search.POLISH_POINTS
+    )
+    assert np.array_equal(kept.information, there)
+    assert not np.array_equal(kept.information, polished.information)
+
+
+def test_where_walls_fix_nothing_the_covariance_is_large_and_finite() -> None:
+    nothing = Finding(Candidate(np.zeros(3), GOOD | {"residual_cells": 0.0}), np.zeros((3, 3)))
+    exact = replace(nothing, information=1000.0 * np.eye(3))
+    assert np.allclose(np.diag(nothing.covariance), 12.0 * 0.3**2 / 1e-3)
+    assert np.allclose(np.diag(exact.covariance), 12.0 * 0.3**2 / 1000.0, rtol=1e-3)
 
 
 def test_a_large_map_with_too_few_walls_for_a_coarser_resolution_is_turned_as_often_as_any() -> None:

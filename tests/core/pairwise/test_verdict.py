@@ -10,11 +10,11 @@ import pytest
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
+from mapfusion.pairwise.confidence import MIN_CONFIDENCE
 from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
 from mapfusion.pairwise.verdict import (
-    MIN_CONFIDENCE,
     MORE_EVIDENCE,
     SURE,
     VERY_SURE,
@@ -248,7 +248,10 @@ def test_confidence_grows_with_every_kind_of_evidence(place: PreparedMap, better
         "firmness": 0.15,
         "rival_net": 20.0,
     }
-    assert judged(place, finding(**(worse | better))).confidence > judged(place, finding(**worse)).confidence
+    more, less = (finding(**one) for one in (worse | better, worse))
+    if "rival_net" not in better:
+        more, less = (replace(one, rival=None) for one in (more, less))
+    assert judged(place, more).confidence > judged(place, less).confidence
 
 
 def test_maps_without_walls_are_refused_before_any_search(place: PreparedMap) -> None:
@@ -282,18 +285,29 @@ def test_walls_that_agree_loosely_must_hold_the_rotation(
         variance = 12.0 * found.best.figures["residual_cells"] ** 2
         return replace(found, information=np.diag([1e3, 1e3, variance / math.radians(deviation_deg) ** 2]))
 
-    assert judged(place, turned_by(0.9 * most_deg, tolerance_cells)).accepted
-    loose = judged(place, turned_by(1.2 * most_deg, tolerance_cells))
+    assert judged(place, turned_by(0.98 * most_deg, tolerance_cells)).accepted
+    loose = judged(place, turned_by(1.02 * most_deg, tolerance_cells))
     assert (loose.accepted, loose.gate) == (False, "loose")
-    assert f"{1.2 * most_deg:.2f} degrees" in loose.reason
-    assert judged(place, turned_by(1.2 * most_deg, 1.5)).accepted
+    assert f"leave the rotation open by {math.degrees(math.sqrt(_variance(loose))):.2f} degrees" in loose.reason
+    assert judged(place, turned_by(1.02 * most_deg, 1.5)).accepted
+
+
+def test_a_rival_that_explains_as_much_makes_a_pair_ambiguous(place: PreparedMap) -> None:
+    refused = judged(place, replace(finding(), rival=finding().best))
+    assert refused.gate == "ambiguous"
+    assert "explains the maps almost as well (1.00 of the evidence)" in refused.reason
+
+
+def _variance(fusion: PairFusion) -> float:
+    assert fusion.covariance is not None
+    return float(fusion.covariance[2, 2])
 
 
 def test_a_rival_with_less_evidence_that_fits_better_makes_a_pair_ambiguous(place: PreparedMap) -> None:
     better = Candidate(np.zeros(3), GOOD | {"net": 150.0, "lines": 15.0, "mutual_ratio": 0.4})
     refused = judged(place, replace(finding(crossing=0.05, crossing_cells=20.0), rival=better))
     assert refused.gate == "ambiguous"
-    assert "fits better where it lays them over each other (0.50 of the evidence)" in refused.reason
+    assert "fits better where it lays the maps over each other (0.50 of the evidence)" in refused.reason
     assert refused.rival == RIVAL
     assert judged(place, replace(finding(), rival=better)).accepted
 
