@@ -13,6 +13,7 @@ from mapfusion.pairwise.confidence import (
     MAX_MARGIN,
     MIN_CONFIDENCE,
     MIN_FIRMNESS,
+    RIGID_RATIO,
     RIGID_TOLERANCE_CELLS,
     Figures,
     confidence,
@@ -47,7 +48,8 @@ smaller one, as the less they share the more ways there are to share it, and whe
 agreeing closely. So do few walls that agree loosely, which leave the pose loose."""
 SURE = 0.92
 """Confidence from which on many walls that agree loosely need no more evidence though the maps contradict each other.
-Maps that share little need it where they contradict each other too, or do not agree closely."""
+Maps that share little need it where they contradict each other too, or do not agree closely; and maps that are not bent
+where they contradict each other and less than RIGID_RATIO of their walls agree: two buildings with a like outline."""
 MUCH_OPPOSITE, VERY_SURE = 0.1, 0.95
 """With more than this share of walls on walls seen from the other side so much confidence is needed: either maps are so
 noisy that their walls show both sides, and tell less, or these are neighbours' walls."""
@@ -222,7 +224,8 @@ def least_confidence(figures: Figures) -> float:
     if figures["opposite"] > MUCH_OPPOSITE:
         return VERY_SURE
     is_little, is_contradicted = _doubts(figures)
-    return SURE if is_little and (is_contradicted or not _is_close(figures)) else MIN_CONFIDENCE
+    is_half = is_contradicted and not _is_loose(figures) and figures["ratio"] < RIGID_RATIO
+    return SURE if is_half or (is_little and (is_contradicted or not _is_close(figures))) else MIN_CONFIDENCE
 
 
 def _doubts(figures: Figures) -> tuple[bool, bool]:

@@ -133,6 +133,14 @@ def test_two_doubts_at_once_ask_for_more_confidence() -> None:
     assert least_confidence(GOOD | {"tolerance_cells": 3.0}) == MIN_CONFIDENCE
 
 
+def test_maps_that_are_not_bent_and_agree_by_half_only_must_be_sure() -> None:
+    half = GOOD | {"contradiction": 0.3, "ratio": 0.59}
+    assert least_confidence(half) == least_confidence(half | {"tolerance_cells": 3.0}) == SURE
+    assert least_confidence(half | {"tolerance_cells": 6.0}) == MIN_CONFIDENCE
+    assert least_confidence(half | {"ratio": 0.6}) == MIN_CONFIDENCE
+    assert least_confidence(half | {"contradiction": 0.2}) == MIN_CONFIDENCE
+
+
 def test_walls_seen_from_the_other_side_ask_for_more_confidence() -> None:
     assert least_confidence(GOOD | {"opposite": 0.09}) == MIN_CONFIDENCE
     assert least_confidence(GOOD | {"opposite": 0.11, "contradiction": 0.3}) == VERY_SURE
