@@ -1,10 +1,10 @@
 """Right and wrong joins of views cut anew from pairs of one place: fresh ones with every seed.
 
-    python benchmarks/views.py ../shared/data/pairs/real --views 40 --repeated 24 --seed 9101
+    python benchmarks/views.py ../shared/data/pairs/real --views 40 --repeated 24 --places 50 --seed 9101
 
 PAIRS are folders as `fit_verdict.py` reads them. Kinds of views are its: overlapping, without overlap, of different
-places, and of places with a second wing like the first; nearly half are noisy. Almost right is up to 15 cells and 6
-degrees off: a false join that is counted by itself.
+places, and of places with a second wing like the first; and those of `places.py`. Nearly half are noisy. Almost right
+is up to 15 cells and 6 degrees off: a false join that is counted by itself.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from fit_verdict import Pair, compare, read_pairs, repeated_views, views, with_noise
+from places import repeating_views
 
 from mapfusion import fuse_pair
 
@@ -36,9 +37,10 @@ def attempt(pair: Pair) -> tuple[str, str, float, list[bool]]:
 def main() -> None:
     """Prints a row a kind, and every join that is not right."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--views", type=int, default=40, help="of each pair")
     parser.add_argument("--repeated", type=int, default=24, help="views of places with a second wing, of each pair")
+    parser.add_argument("--places", type=int, default=0, help="halls of racks, and corridors of rooms")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
@@ -50,6 +52,7 @@ def main() -> None:
         for pair in whole
         for view in (*views(pair, whole, args.views, rng), *repeated_views(pair, args.repeated, rng))
     ]
+    cut += [view for kind in ("racks", "rooms") for view in repeating_views(kind, args.places, rng)]
     rows: Counter[tuple[str, str]] = Counter()
     with ProcessPoolExecutor(args.jobs) as executor:
         for kind, place, confidence, found in executor.map(attempt, cut, chunksize=4):
@@ -58,7 +61,7 @@ def main() -> None:
             if any(found[3:]):
                 print(f"    {place}, {kind}: {COLUMNS[3 if found[3] else 4]}, {confidence:.3f}", flush=True)
     for kind in dict.fromkeys(pair.kind for pair in cut):
-        print(f"{kind:25} " + ", ".join(f"{name} {rows[kind, name]}" for name in COLUMNS), flush=True)
+        print(f"{kind:28} " + ", ".join(f"{name} {rows[kind, name]}" for name in COLUMNS), flush=True)
 
 
 if __name__ == "__main__":

@@ -115,15 +115,20 @@ def confidence_alone(figures: Figures) -> float:
 
 
 def fits_better(rival: Figures, best: Figures) -> bool:
-    """Whether a rival is sure enough alone and fits better than the best pose."""
-    return fit(rival) - fit(best) > BETTER_FIT and confidence_alone(rival) >= MIN_CONFIDENCE
+    """Whether a rival that is to be taken seriously fits better than the best pose.
+
+    It is where it is sure enough alone, or follows from the best pose by what repeats itself within one of the maps,
+    which then has `repeats` among its figures.
+    """
+    is_serious = "repeats" in rival or confidence_alone(rival) >= MIN_CONFIDENCE
+    return is_serious and fit(rival) - fit(best) > BETTER_FIT
 
 
 def margin(best: Figures, rival: Figures | None) -> float:
     """How clearly the best pose is to be preferred to a different one, in [0, MAX_MARGIN].
 
     Their difference in plausibility, a log-odds, and how far the rival falls behind in evidence that plausibility no
-    longer counts. Without a rival MAX_MARGIN; 0 over a rival that is sure enough alone and fits better.
+    longer counts. Without a rival MAX_MARGIN; 0 over a serious one that fits better.
     """
     if rival is None:
         return MAX_MARGIN

@@ -7,6 +7,7 @@ from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
 from mapfusion.pairwise.poses import Poses, from_se2, to_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
+from mapfusion.pairwise.repeats import weighed_against_repeats
 from mapfusion.pairwise.search import (
     GLANCE,
     QUICK,
@@ -20,7 +21,7 @@ from mapfusion.pairwise.search import (
     with_firmness,
     with_rivals_of,
 )
-from mapfusion.pairwise.voting import match
+from mapfusion.pairwise.voting import Matches, match
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
 
@@ -51,27 +52,39 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     if refusal is not None:
         return refusal
     matches = match(target.features, source.features)
+    found, result = _searched(target, source, config, matches, is_thorough)
+    if not (result.accepted and verdict.may_repeat_itself(found)):
+        return result
+    return _judged(target, source, config, weighed_against_repeats(found, target, source, matches))
+
+
+def _searched(
+    target: PreparedMap, source: PreparedMap, config: FusionConfig, matches: Matches, is_thorough: bool
+) -> tuple[Finding, PairFusion]:
+    """What the searches find, each where the one before it found nothing sure, and the verdict on it."""
     proposed = propose(target, source, matches, GLANCE)
     if is_promising(proposed):
         found = examine(target, source, proposed, matches, GLANCE, GLANCE_OUTLOOK)
         if not found.is_hopeless:
             glance = _judged(target, source, config, found)
             if glance.accepted and glance.confidence >= SETTLED:
-                return glance
+                return found, glance
     proposed = proposed.joined(propose(target, source, matches, QUICK, before=GLANCE))
     quickly = examine(target, source, proposed, matches, QUICK, 0.0 if are_vast(target, source) else OUTLOOK)
     quick = _judged(target, source, config, quickly)
     is_settled = quick.confidence >= SETTLED if quick.accepted else quickly.is_hopeless or not is_thorough
     if is_settled:
-        return quick
+        return quickly, quick
     proposed = proposed.joined(propose(target, source, matches, THOROUGH, before=QUICK))
     # A join must stand against all rivals.
     thoroughly = examine(target, source, proposed, matches, THOROUGH, 0.0 if quick.accepted else OUTLOOK)
     if quick.accepted:
-        checked = _judged(target, source, config, with_rivals_of(quickly, thoroughly, target, source))
+        found = with_rivals_of(quickly, thoroughly, target, source)
+        checked = _judged(target, source, config, found)
         if checked.accepted:
-            return checked
-    return _judged(target, source, config, with_rivals_of(thoroughly, quickly, target, source))
+            return found, checked
+    found = with_rivals_of(thoroughly, quickly, target, source)
+    return found, _judged(target, source, config, found)
 
 
 def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, config: FusionConfig) -> PairFusion:

@@ -46,6 +46,15 @@ def inverse(poses: Poses) -> Poses:
     return np.stack([-c * x - s * y, s * x - c * y, -poses[:, 2]], -1)
 
 
+def after(outer: Poses, inner: Poses) -> Poses:
+    """(K, 3): first one of the `inner` poses, then one of the `outer` ones; (K, 3) each, or one (3,) for all."""
+    outer, inner = np.broadcast_arrays(np.atleast_2d(outer), np.atleast_2d(inner))
+    c, s = np.cos(outer[:, 2]), np.sin(outer[:, 2])
+    x, y = inner[:, 0], inner[:, 1]
+    moved_by = np.stack([c * x - s * y, s * x + c * y], -1)
+    return np.concatenate([outer[:, :2] + moved_by, outer[:, 2:] + inner[:, 2:]], -1)
+
+
 def pose_from_centre(theta: npt.NDArray[np.float64], centre_in_target: Poses, centre: Poses) -> Poses:
     """Poses (K, 3) that turn by theta (K,) and take the source's `centre` (2,) to `centre_in_target` (K, 2)."""
     c, s = np.cos(theta), np.sin(theta)

@@ -3,13 +3,16 @@
 Evidence against chance counts cells. Places tell themselves apart by other things as well. Cells of one straight wall
 agree together once the wall does, and any corner fits any other: it matters how many walls, each with its own direction
 and offset, agree at once. Where a wall of one map crosses a passage of the other, one of the two is not there; bent
-maps and moved furniture contradict each other as well, but along walls, not across. And a wall that lies on another
+maps and moved furniture contradict each other as well, but along walls, not across. A wall that strays through the
+other's free space for many metres, however it lies to the walls there, is no furniture. And a wall that lies on another
 one, seen from the other side, is a neighbour's.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,6 +24,8 @@ from mapfusion.pairwise.surface import NOT_KNOWN, Points, Surface, SurfaceField
 
 NEAR_CELLS = 3.0
 """Walls within this meet; a wall deeper than this in free space stands in it."""
+STRAY_CELLS = 6.0
+"""A wall this deep in free space, and this far from any wall, strays through it."""
 MIN_RUN_CELLS = 8
 """A shorter run of wall across free space may be noise."""
 NUM_COMPARED = 128
@@ -40,6 +45,8 @@ class Scrutiny:
         opposite: Share that meets a wall seen from the other side.
         crossing_cells: Longest connected run of wall that crosses the other map's free space, cells.
         crossing: Share that belongs to such runs of at least MIN_RUN_CELLS.
+        stray_cells: Length, across its bounding box, of the longest connected run of wall that strays through the other
+            map's free space, cells.
         outside: Share of all wall cells that lie outside what the other map knows, of the map for which it is less.
     """
 
@@ -48,6 +55,7 @@ class Scrutiny:
     opposite: float
     crossing_cells: float
     crossing: float
+    stray_cells: float
     outside: float
 
 
@@ -58,15 +66,23 @@ def scrutinise(target: SurfaceField, source: SurfaceField, pose: Poses, toleranc
         _look(source, target.surface, inverse(pose[None])[0], tolerance_cells),
     ]
     num_known = max(1, sum(one.num_known for one in both))
-    runs = [run for one in both for run in one.crossing_runs]
+    runs = [run.cells for one in both for run in one.crossing]
     return Scrutiny(
         lines=sum(one.lines for one in both) / 2.0,
         turning=sum(one.turning for one in both) / 2.0,
         opposite=sum(one.num_opposite for one in both) / num_known,
         crossing_cells=float(max(runs, default=0)),
         crossing=sum(run for run in runs if run >= MIN_RUN_CELLS) / num_known,
+        stray_cells=max((run.length for one in both for run in one.stray), default=0.0),
         outside=min(1.0 - one.num_known / max(1, one.num_walls) for one in both),
     )
+
+
+class _Run(NamedTuple):
+    """A connected run of wall: its number of cells, and the diagonal of its bounding box, cells."""
+
+    cells: int
+    length: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +94,8 @@ class _Look:
     num_opposite: int
     lines: float
     turning: float
-    crossing_runs: list[int]
+    crossing: list[_Run]
+    stray: list[_Run]
 
 
 def _look(field: SurfaceField, surface: Surface, pose: Poses, tolerance_cells: float) -> _Look:
@@ -89,6 +106,7 @@ def _look(field: SurfaceField, surface: Surface, pose: Poses, tolerance_cells: f
     near = known & (squared <= NEAR_CELLS**2)
     cosine = _cosine(found, surface, pose)
     across = known & (depth > NEAR_CELLS) & (squared > NEAR_CELLS**2) & (np.abs(cosine) < SAME_SIDE_COSINE)
+    stray = known & (depth > STRAY_CELLS) & (squared > STRAY_CELLS**2)
     agrees = known & found.same_side[0] & (squared <= tolerance_cells**2)
     some = surface.at(np.flatnonzero(agrees)).thinned(NUM_COMPARED)
     return _Look(
@@ -97,7 +115,8 @@ def _look(field: SurfaceField, surface: Surface, pose: Poses, tolerance_cells: f
         num_opposite=int(np.count_nonzero(near & (cosine < -SAME_SIDE_COSINE))),
         lines=_effective_number(some),
         turning=_hold_on_rotation(some),
-        crossing_runs=_runs(surface.points[across]),
+        crossing=_runs(surface.points[across]),
+        stray=_runs(surface.points[stray]),
     )
 
 
@@ -108,17 +127,19 @@ def _cosine(found: Encounters, surface: Surface, pose: Poses) -> npt.NDArray[np.
     return cosine
 
 
-def _runs(points: Points) -> list[int]:
-    """Cells of each connected run of (N, 2) points; a gap of one cell connects."""
+def _runs(points: Points) -> list[_Run]:
+    """The connected runs of (N, 2) points; a gap of one cell connects."""
     if not len(points):
         return []
     cells = points.astype(np.int32)
     cells -= cells.min(axis=0) - 1
     image = np.zeros(cells.max(axis=0)[::-1] + 2, np.uint8)
     image[cells[:, 1], cells[:, 0]] = 1
-    _, labels = cv2.connectedComponents(cv2.dilate(image, np.ones((3, 3), np.uint8)), connectivity=8)
-    counts: list[int] = np.bincount(labels[cells[:, 1], cells[:, 0]])[1:].tolist()
-    return counts
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(cv2.dilate(image, np.ones((3, 3), np.uint8)), connectivity=8)
+    counts = np.bincount(labels[cells[:, 1], cells[:, 0]])[1:].tolist()
+    # The dilated runs are wider by a cell on each side, and a run of one cell has no length.
+    edges = boxes[1:, cv2.CC_STAT_WIDTH : cv2.CC_STAT_HEIGHT + 1] - 3
+    return [_Run(cells, math.hypot(*edge)) for cells, edge in zip(counts, edges.tolist(), strict=True)]
 
 
 def _effective_number(some: Surface) -> float:

@@ -205,7 +205,7 @@ def _found_coarsely(target: PreparedMap, source: PreparedMap, effort: Effort) ->
     coarse_target, coarse_source = target.coarser, source.coarser
     matches = match(coarse_target.features, coarse_source.features)
     hypotheses = propose(coarse_target, coarse_source, matches, effort)
-    poses = _refined(coarse_target, coarse_source, hypotheses, effort)
+    poses = refine_best(coarse_target, coarse_source, hypotheses, effort)
     refined = scored(coarse_target, coarse_source, poses, FINE_POINTS)
     likely = best_distinct(refined, coarse_source.centre, effort.num_scrutinised)
     resolution_m = target.grid.resolution_m
@@ -242,7 +242,7 @@ def examine(
     off = squared_offsets(target.features, source.features, matches, found.best.pose)
     return replace(
         found,
-        rival=_nearest(found.best, [one for one, is_apart in zip(candidates, apart, strict=True) if is_apart]),
+        rival=nearest(found.best, [one for one, is_apart in zip(candidates, apart, strict=True) if is_apart]),
         is_searched=True,
         is_hopeless=is_hopeless,
         num_matches=len(matches),
@@ -269,10 +269,10 @@ def with_rivals_of(finding: Finding, other: Finding, target: PreparedMap, source
     poses, cells = np.array([one.pose for one in rivals]), distinct_cells(target, source)
     (apart,) = differ(finding.best.pose[None], poses, source.centre, cells, DISTINCT_DEGREES)
     rivals = [one for one, is_apart in zip(rivals, apart, strict=True) if is_apart]
-    return replace(finding, rival=_nearest(finding.best, rivals))
+    return replace(finding, rival=nearest(finding.best, rivals))
 
 
-def _nearest(best: Candidate, rivals: list[Candidate]) -> Candidate | None:
+def nearest(best: Candidate, rivals: list[Candidate]) -> Candidate | None:
     """The rival over which the margin is least; of equal ones the most plausible."""
     return min(rivals, key=lambda one: (margin(best.figures, one.figures), -one.plausibility), default=None)
 
@@ -309,7 +309,7 @@ class _Shortlist:
         cls, target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, matches: Matches, effort: Effort
     ) -> _Shortlist:
         """The best few of the hypotheses."""
-        poses = _refined(target, source, hypotheses, effort)
+        poses = refine_best(target, source, hypotheses, effort)
         return cls(target, source, matches, poses, weigh(target, source, poses, EVIDENCE_POINTS), {})
 
     def with_slides(self) -> _Shortlist:
@@ -333,11 +333,13 @@ class _Shortlist:
         chosen = rivals[distinct(self.poses[rivals], self.source.centre, SAME_CELLS, REFINED_DEGREES, count)].tolist()
         for k in chosen:
             if k not in self.looked_at:
-                self.looked_at[k] = _candidate(self.target, self.source, self.poses[k], self.evidence, k, self.matches)
+                self.looked_at[k] = look_closely(
+                    self.target, self.source, self.poses[k], self.evidence, k, self.matches
+                )
         return sorted((self.looked_at[k] for k in chosen), key=lambda one: -one.plausibility)
 
 
-def _refined(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, effort: Effort) -> Poses:
+def refine_best(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, effort: Effort) -> Poses:
     """The best few of the hypotheses, refined: the poses (K, 3) after the last step, then those of before it."""
     assert target.field is not None
     assert source.field is not None
@@ -376,7 +378,7 @@ def recheck(target: PreparedMap, source: PreparedMap, pose: Poses, matches: Matc
     best = 0 if evidence.net[0] >= 0.9 * evidence.net[-1] else 1
     if best == 1:
         _, (information,) = refine(*fields, pose[None], centre, POLISH_REACHES[-1:], POLISH_POINTS)
-    return Finding(_candidate(target, source, poses[best], evidence, best, matches), information)
+    return Finding(look_closely(target, source, poses[best], evidence, best, matches), information)
 
 
 def _as_it_is(target: PreparedMap, source: PreparedMap, candidate: Candidate) -> Finding:
@@ -388,7 +390,7 @@ def _as_it_is(target: PreparedMap, source: PreparedMap, candidate: Candidate) ->
     return Finding(candidate, information)
 
 
-def _candidate(
+def look_closely(
     target: PreparedMap, source: PreparedMap, pose: Poses, evidence: Evidence, index: int, matches: Matches | None
 ) -> Candidate:
     assert target.field is not None

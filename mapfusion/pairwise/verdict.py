@@ -20,7 +20,7 @@ from mapfusion.pairwise.confidence import (
     fits_better,
     margin,
 )
-from mapfusion.pairwise.evidence import MIN_EVIDENCE, TOLERANCES_CELLS
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
 from mapfusion.result import PairFusion
@@ -33,6 +33,9 @@ MIN_TURNING = 0.05
 MAX_CONTRADICTION, SOME_CONTRADICTION = 0.6, 0.2
 """Most walls in the other map's free space, as a share of what chance would put there; the share from which on more
 evidence is asked for."""
+MAX_STRAY_M = 6.0
+"""Longest run of wall that may stand in the other map's free space where walls agree within three cells: longer things
+are not moved. Bent maps draw walls further apart."""
 MIN_MARGIN, SLIDING_MARGIN = 0.5, 2.0
 """Least margin over the nearest different alignment: below it the two are the same to us. The second where the walls
 hold one direction so weakly that the pose may slide."""
@@ -61,6 +64,13 @@ things that stand alike in both are no place yet. Walls that agree closely need 
 LEAST_FIRMNESS = {1.5: 0.1, 3.0: 0.2, 6.0: 0.0}
 """Least firmness by the tolerance, cells, within which walls agree. Bent maps have little of it, and so have long
 straight walls, whose parts stay nowhere; but those agree closely."""
+MOST_RECURRING, MIN_REST_RATIO, LIKE_FIT = 0.5, 0.4, -3.0
+"""Where more than the first of the walls that agree recur within one of the maps, at least the second of those that do
+not must agree, and along DEPENDENT_CELLS of wall, unless all alignments that follow fit worse by more than the third:
+in a maze every wall has its like, but together they fit nowhere else."""
+SLIGHT_CONTRADICTION, STRONG_RIVAL = 0.02, 0.5
+"""Maps that contradict each other by more than this share of chance, or have a rival with more than this share of the
+evidence, are asked whether they repeat themselves."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
 MAX_TURN_DEVIATION_DEG = {1.5: math.inf, 3.0: 0.9, 6.0: 0.45}
@@ -152,6 +162,12 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"walls stand in the other map's free space, {figures['contradiction']:.0%} of what chance would put there "
             f"(at most {MAX_CONTRADICTION:.0%}); {agreement}"
         )
+    stray_m = figures["stray_cells"] * cells.resolution_m
+    if stray_m > MAX_STRAY_M and not _is_loose(figures):
+        return "contradiction", (
+            f"a wall of {stray_m:.1f} m strays through the other map's free space (at most {MAX_STRAY_M:g} m may), "
+            f"while others agree within {figures['tolerance_cells']:g} cells; {agreement}"
+        )
     if are_few_things(figures):
         return "chance", (
             f"one or two things that stand alike in both maps: about {figures['lines']:.0f} different walls agree and "
@@ -172,13 +188,20 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
     least_trust = least_confidence(figures)
     is_rivalled = _margin(finding) < least_margin or trust < least_trust <= confidence(figures, MAX_MARGIN)
     if finding.rival is not None and is_rivalled:
-        how_well = (
-            "would be sure enough by itself, and fits better where it lays the maps over each other"
-            if fits_better(finding.rival.figures, figures)
-            else "explains the maps almost as well"
-        )
+        how_well = "explains the maps almost as well"
+        if fits_better(finding.rival.figures, figures):
+            is_repeat = "repeats" in finding.rival.figures
+            why = "follows from what one of the maps repeats" if is_repeat else "would be sure enough by itself"
+            how_well = f"{why}, and fits better where it lays the maps over each other"
         return "ambiguous", (
             f"a second, different alignment {how_well} ({_rival_ratio(finding):.2f} of the evidence); the best: "
+            f"{agreement}"
+        )
+    if repeats_itself(figures):
+        return "repeats", (
+            f"{figures['recurring']:.0%} of the walls that agree have their like elsewhere in the same map, and of "
+            f"the other {figures['rest_cells']:.0f} wall cells {figures['rest_ratio']:.0%} agree (at least "
+            f"{MIN_REST_RATIO:.0%} and {DEPENDENT_CELLS:.0f} cells must): like parts of a place, but hardly the same; "
             f"{agreement}"
         )
     if is_adrift(figures):
@@ -256,6 +279,22 @@ def _is_enough(finding: Finding, supposed: Figures) -> bool:
     figures = {**finding.best.figures, **supposed}
     trust = confidence(figures, _margin(finding))
     return trust >= least_confidence(figures) and figures["net"] >= least_evidence(figures, trust)
+
+
+def may_repeat_itself(finding: Finding) -> bool:
+    """Whether the maps are to be asked whether they repeat themselves: walls that stand where the other map has free
+    space, or a strong rival, speak for it."""
+    figures = finding.best.figures
+    is_contradicted = figures["crossing"] > 0.0 or figures["contradiction"] > SLIGHT_CONTRADICTION
+    return is_contradicted or _rival_ratio(finding) > STRONG_RIVAL
+
+
+def repeats_itself(figures: Figures) -> bool:
+    """Whether walls agree because they repeat themselves, as far as they were asked; bent maps disagree anyway."""
+    if figures.get("like_fit", -math.inf) <= LIKE_FIT or figures["recurring"] <= MOST_RECURRING or _is_loose(figures):
+        return False
+    is_little = figures["rest_cells"] * figures["rest_ratio"] < DEPENDENT_CELLS
+    return is_little or figures["rest_ratio"] < MIN_REST_RATIO
 
 
 def is_adrift(figures: Figures) -> bool:

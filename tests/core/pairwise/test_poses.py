@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mapfusion.pairwise.poses import differ, distinct, from_se2, inverse, moved, pose_from_centre, to_se2
+from mapfusion.pairwise.poses import after, differ, distinct, from_se2, inverse, moved, pose_from_centre, to_se2
 from mapfusion.transform import SE2
 
 POSES = np.array([[3.0, -2.0, 0.7], [10.0, 4.0, -3.0]])
@@ -23,6 +23,17 @@ def test_inverse_undoes_a_pose() -> None:
     for pose, back in zip(POSES, inverse(POSES), strict=True):
         there = moved(pose[None], POINTS)[0].T
         np.testing.assert_allclose(moved(back[None], there)[0].T, POINTS, atol=1e-4)
+
+
+def test_poses_follow_each_other_as_se2_does() -> None:
+    outer, inner = POSES
+    both = to_se2(outer, 1.0) @ to_se2(inner, 1.0)
+    for followed in (after(outer, inner), after(outer[None], inner), after(POSES, inner)[:1]):
+        assert followed.shape == (1, 3)
+        assert to_se2(followed[0], 1.0).distance_to(both) < (1e-9, 1e-9)
+    assert after(POSES, inverse(POSES)).shape == (2, 3)
+    np.testing.assert_allclose(after(POSES, inverse(POSES)), 0.0, atol=1e-9)
+    assert after(outer, np.zeros((0, 3))).shape == (0, 3)
 
 
 def test_metres_and_cells_convert_both_ways() -> None:

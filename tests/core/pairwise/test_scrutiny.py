@@ -93,6 +93,24 @@ def test_a_wall_that_moved_sideways_does_not_cross() -> None:
     assert found.crossing_cells < 8
 
 
+@pytest.mark.parametrize("length", [40, 150])
+def test_a_wall_in_the_open_strays_however_it_lies(length: int) -> None:
+    hall = corridor(60)
+    walled = hall.copy()
+    walled[30:32, 20 : 20 + length] = 100  # along the hall, where no wall is near
+    found = look(hall, walled)
+    assert found.crossing_cells < 8
+    assert found.stray_cells == pytest.approx(length, abs=6)
+    assert look(walled, hall).stray_cells == found.stray_cells
+    assert look(walled, walled).stray_cells == 0.0
+
+
+def test_a_wall_a_few_cells_off_does_not_stray() -> None:
+    moved = corridor(60)
+    moved[3:9] = 100
+    assert look(corridor(60), moved).stray_cells == 0.0
+
+
 def test_walls_seen_from_the_other_side_are_counted() -> None:
     inside, outside = corridor(20), flat(26, 200, 0)
     outside[3:-3] = 100  # the same two faces, with the free space where the other one has wall

@@ -10,7 +10,7 @@ import pytest
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.confidence import MIN_CONFIDENCE
+from mapfusion.pairwise.confidence import MIN_CONFIDENCE, confidence_alone
 from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
@@ -22,7 +22,9 @@ from mapfusion.pairwise.verdict import (
     judge,
     least_confidence,
     least_evidence,
+    may_repeat_itself,
     may_turn_on_parts,
+    repeats_itself,
     too_little,
 )
 from mapfusion.result import PairFusion
@@ -44,6 +46,7 @@ GOOD = {
     "opposite": 0.01,
     "crossing_cells": 0.0,
     "crossing": 0.0,
+    "stray_cells": 5.0,
     "outside": 0.4,
     "keypoints": 3.0,
     "firmness": 0.3,
@@ -53,6 +56,7 @@ GOOD = {
 AGREEMENT = Agreement(mae=5.0, overlap_cells=10_000, overlap_ratio=0.5, resolution_m=0.1)
 RIVAL_FIGURES = {"ratio": 0.4, "lines": 8.0, "keypoints": 1.0, "inliers_near": 20.0, "inliers_wide": 40.0}
 CROSSING = {"crossing": 0.3, "crossing_cells": 60.0}
+REPEATED = {"recurring": 0.6, "rest_cells": 400.0, "rest_ratio": 0.3, "like_fit": -2.0}
 RIVAL = SE2(1.0, 2.0, 3.0)
 
 
@@ -98,6 +102,8 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
         ("chance", finding(net=90.0, rival_net=5.0, lines=7.0, ratio=0.8, mutual_ratio=0.3, tolerance_cells=3.0)),
         ("chance", finding(ratio=0.15, chance=0.005)),
         ("contradiction", finding(contradiction=0.7)),
+        ("contradiction", finding(stray_cells=61.0)),
+        ("repeats", finding(**REPEATED)),
         ("one direction", finding(conditioning=0.001)),
         ("one direction", finding(turning=0.01)),
         ("parts", finding(firmness=0.05)),
@@ -304,6 +310,46 @@ def test_a_rival_that_explains_as_much_makes_a_pair_ambiguous(place: PreparedMap
     refused = judged(place, replace(finding(), rival=finding().best))
     assert refused.gate == "ambiguous"
     assert "explains the maps almost as well (1.00 of the evidence)" in refused.reason
+
+
+def test_a_wall_that_strays_for_metres_refuses_maps_that_are_not_bent(place: PreparedMap) -> None:
+    # At 0.1 m a cell.
+    assert judged(place, finding(stray_cells=59.0)).accepted
+    stray = judged(place, finding(stray_cells=65.0))
+    assert (stray.accepted, stray.gate) == (False, "contradiction")
+    assert "a wall of 6.5 m strays through the other map's free space (at most 6 m may)" in stray.reason
+    assert judged(place, finding(stray_cells=65.0, tolerance_cells=3.0)).gate == "contradiction"
+    assert judged(place, finding(stray_cells=65.0, tolerance_cells=6.0)).accepted
+
+
+def test_walls_that_do_not_recur_must_agree_where_most_recur(place: PreparedMap) -> None:
+    refused = judged(place, finding(**REPEATED))
+    assert "60% of the walls that agree have their like elsewhere in the same map" in refused.reason
+    assert "of the other 400 wall cells 30% agree" in refused.reason
+    for enough in ({"recurring": 0.5}, {"rest_ratio": 0.4}, {"tolerance_cells": 6.0}, {"like_fit": -3.1}):
+        assert judged(place, finding(**(REPEATED | enough))).accepted, enough
+    assert judged(place, finding(**(REPEATED | {"rest_cells": 11.0, "rest_ratio": 1.0}))).gate == "repeats"
+    assert judged(place, finding(**(REPEATED | {"rest_cells": 13.0, "rest_ratio": 1.0}))).accepted
+    assert not repeats_itself(GOOD)
+
+
+def test_maps_are_asked_whether_they_repeat_where_something_speaks_for_it() -> None:
+    assert not may_repeat_itself(finding())
+    assert may_repeat_itself(finding(crossing=0.01))
+    assert may_repeat_itself(finding(contradiction=0.03))
+    assert may_repeat_itself(finding(rival_net=160.0))
+    assert not may_repeat_itself(finding(rival_net=None))
+
+
+def test_a_rival_that_follows_from_repeats_need_not_be_sure(place: PreparedMap) -> None:
+    crossed = finding(crossing=0.02, crossing_cells=10.0)
+    unsure = Candidate(np.zeros(3), GOOD | {"net": 25.0, "lines": 3.0, "mutual_ratio": 0.1, "outside": 0.0})
+    assert confidence_alone(unsure.figures) < MIN_CONFIDENCE
+    assert judged(place, replace(crossed, rival=unsure)).accepted
+    repeat = Candidate(unsure.pose, unsure.figures | {"repeats": 1.0})
+    refused = judged(place, replace(crossed, rival=repeat))
+    assert refused.gate == "ambiguous"
+    assert "follows from what one of the maps repeats, and fits better" in refused.reason
 
 
 def _variance(fusion: PairFusion) -> float:

@@ -1,0 +1,175 @@
+"""What repeats itself within one map: racks, bays, rooms of one size, two wings.
+
+Of two maps alone no one can tell which of two like parts of a place they share. But each map can be asked whether it
+has such parts: it is laid onto itself, some way off. Where walls recur so, that they agree with those of another map
+says little, as their like would agree as well; where the other map lies is said by the walls that do not recur. And
+from an alignment of two maps follow others, one for each of a map with itself, which a search of the two may have
+missed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from mapfusion.pairwise.confidence import fit, fits_better
+from mapfusion.pairwise.evidence import MIN_EVIDENCE, weigh
+from mapfusion.pairwise.poses import Poses, after, differ, distinct, inverse
+from mapfusion.pairwise.prepared import PreparedMap
+from mapfusion.pairwise.refine import encounters, refine
+from mapfusion.pairwise.rough import SAME_CELLS, best_distinct, scored
+from mapfusion.pairwise.search import (
+    COARSE_POINTS,
+    DISTINCT_DEGREES,
+    EVIDENCE_POINTS,
+    FINE_POINTS,
+    REFINED_DEGREES,
+    TIGHT_REACHES,
+    Candidate,
+    Effort,
+    Finding,
+    distinct_cells,
+    look_closely,
+    nearest,
+    refine_best,
+)
+from mapfusion.pairwise.surface import NOT_KNOWN
+from mapfusion.pairwise.voting import Matches, match, vote
+
+ON_ITSELF = Effort(
+    num_voted=60,
+    num_rotations=0,
+    num_starts=24,
+    num_candidates=12,
+    is_exhaustive=False,
+    num_scrutinised=0,
+)
+"""Keypoints alone: those of one map look like their repeats, noise or not."""
+MIN_REPEATED = 70.0
+"""Net evidence from which on a map that is laid onto itself repeats itself."""
+MEETS_CELLS = 3.0
+"""Walls this near a wall of their own map recur, and this near one of the other map agree."""
+NUM_SHIFTED = 8
+"""So many alignments that follow from another one are looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Repeats:
+    """What repeats itself within a map.
+
+    Attributes:
+        poses: (K, 3) of the map in itself under which it repeats itself, none of them near the identity, and then their
+            inverses.
+        recurs: (N,) which walls of its surface meet another wall under one of them.
+    """
+
+    poses: Poses
+    recurs: npt.NDArray[np.bool_]
+
+
+def repeats(one: PreparedMap) -> Repeats:
+    """What repeats itself within a map that has walls."""
+    assert one.field is not None
+    surface = one.field.surface
+    matches = match(one.features, one.features)
+    is_other = matches.target != matches.source
+    matches = Matches(matches.target[is_other], matches.source[is_other])
+    poses = _elsewhere(one, vote(one.features, one.features, matches, one.centre, ON_ITSELF.num_voted))
+    if len(poses):
+        poses = refine_best(one, one, scored(one, one, poses, COARSE_POINTS), ON_ITSELF)
+        poses = _elsewhere(one, poses)
+    if len(poses):
+        net = weigh(one, one, poses, EVIDENCE_POINTS).net
+        order = np.argsort(-net, kind="stable")
+        order = order[net[order] >= MIN_REPEATED]
+        poses = poses[order[distinct(poses[order], one.centre, SAME_CELLS, REFINED_DEGREES, len(order))]]
+    poses = np.concatenate([poses, inverse(poses)])
+    recurs: npt.NDArray[np.bool_] = np.zeros(len(surface), np.bool_)
+    return Repeats(poses, np.logical_or.reduce(_meets(one, one, poses), axis=0) if len(poses) else recurs)
+
+
+def weighed_against_repeats(finding: Finding, target: PreparedMap, source: PreparedMap, matches: Matches) -> Finding:
+    """The finding with what recurs of its walls among its figures, and as its rival what follows and fits better.
+
+    The figures are: `recurring`, the share of the agreeing walls that recur within their map; `rest_cells`, the walls
+    in the area known in both that do not; `rest_ratio`, the share of these that agree; and `like_fit`, by how much the
+    alignment that follows and fits best fits better than the best one, where one follows.
+    """
+    of_target, of_source = repeats(target), repeats(source)
+    best = finding.best
+    figures = best.figures | _recurring(target, source, best.pose, of_target, of_source)
+    follow = np.concatenate([after(best.pose, of_source.poses), after(of_target.poses, best.pose)])
+    followed = _followed(target, source, best, follow, matches)
+    if followed:
+        figures["like_fit"] = max(fit(one.figures) for one in followed) - fit(figures)
+    better = [one for one in followed if fits_better(one.figures, figures)]
+    rivals = better if finding.rival is None else [finding.rival, *better]
+    return replace(finding, best=replace(best, figures=figures), rival=nearest(best, rivals))
+
+
+def _elsewhere(one: PreparedMap, poses: Poses) -> Poses:
+    """Those of the poses (K, 3) of a map in itself that take it elsewhere."""
+    return _apart(poses, np.zeros(3), one, one)
+
+
+def _apart(poses: Poses, pose: Poses, target: PreparedMap, source: PreparedMap) -> Poses:
+    """Those of the poses (K, 3) that are different answers from one (3,)."""
+    (apart,) = differ(pose[None], poses, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
+    return np.asarray(poses[apart], np.float64)
+
+
+def _meets(there: PreparedMap, here: PreparedMap, poses: Poses) -> npt.NDArray[np.bool_]:
+    """(K, N) which walls of `here` meet a wall of `there` under poses (K, 3)."""
+    assert there.field is not None
+    assert here.field is not None
+    found = encounters(there.field, here.field.surface, poses)
+    known = there.field.depth.ravel().take(found.cells) != NOT_KNOWN
+    meets: npt.NDArray[np.bool_] = known & found.same_side & (found.squared <= MEETS_CELLS**2)
+    return meets
+
+
+def _recurring(
+    target: PreparedMap, source: PreparedMap, pose: Poses, of_target: Repeats, of_source: Repeats
+) -> dict[str, float]:
+    agreeing = agreeing_rest = rest = 0
+    for there, here, move, own in (
+        (target, source, pose[None], of_source),
+        (source, target, inverse(pose[None]), of_target),
+    ):
+        assert there.field is not None
+        assert here.field is not None
+        (agrees,) = _meets(there, here, move)
+        cells = encounters(there.field, here.field.surface, move).cells[0]
+        known = there.field.depth.ravel().take(cells) != NOT_KNOWN
+        agreeing += int(np.count_nonzero(agrees))
+        agreeing_rest += int(np.count_nonzero(agrees & ~own.recurs))
+        rest += int(np.count_nonzero(known & ~own.recurs))
+    return {
+        "recurring": 1.0 - agreeing_rest / max(agreeing, 1),
+        "rest_cells": float(rest),
+        "rest_ratio": agreeing_rest / max(rest, 1),
+    }
+
+
+def _followed(
+    target: PreparedMap, source: PreparedMap, best: Candidate, poses: Poses, matches: Matches
+) -> list[Candidate]:
+    """Those of the poses (K, 3) that have evidence and are others than the best one, refined and looked at closely."""
+    assert target.field is not None
+    assert source.field is not None
+    poses = _apart(poses, best.pose, target, source)
+    if not len(poses):
+        return []
+    starts = best_distinct(scored(target, source, poses, COARSE_POINTS), source.centre, NUM_SHIFTED)
+    poses, _ = refine(target.field, source.field, starts, source.centre, TIGHT_REACHES, FINE_POINTS)
+    poses = _apart(poses, best.pose, target, source)
+    if not len(poses):
+        return []
+    evidence = weigh(target, source, poses, EVIDENCE_POINTS)
+    followed = [
+        look_closely(target, source, poses[k], evidence, int(k), matches)
+        for k in np.flatnonzero(evidence.net >= MIN_EVIDENCE)
+    ]
+    return [replace(one, figures=one.figures | {"repeats": 1.0}) for one in followed]
