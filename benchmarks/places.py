@@ -1,11 +1,12 @@
-"""Made-up places that repeat themselves: halls of racks, and corridors of rooms that are all alike.
+"""Made-up places that repeat themselves: halls of racks, corridors of rooms that are all alike, and mazes.
 
-Nothing of them is symmetric as a whole: racks and rooms stand nearer to one end, doors are anywhere.
+Nothing of them is symmetric as a whole: racks and rooms stand nearer to one end, doors are anywhere. In a maze every
+wall has its like, but no two parts of it are alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from fit_verdict import RESOLUTION_M, Pair, views, with_noise
@@ -22,7 +23,7 @@ MAX_THINGS, MAX_NEW_THINGS = 20, 8
 def repeating_views(kind: str, number: int, rng: np.random.Generator) -> Iterator[Pair]:
     """Views of `number` places, with and without overlap, as a robot sees them and another one later, with noise."""
     for k in range(number):
-        place = {"racks": hall_of_racks, "rooms": corridor_of_rooms}[kind](rng)
+        place = PLACES[kind](rng)
         pair = Pair(kind, f"{kind} {k}", _grid(place), _grid(_with_things(place, MAX_NEW_THINGS, rng)), SE2.identity())
         for view in views(pair, [pair], VIEWS_OF_PLACE, rng):
             noisy = with_noise(view, rng)
@@ -73,6 +74,50 @@ def corridor_of_rooms(rng: np.random.Generator) -> Cells:
                 inside[row : row + WALL_CELLS, left + at_door : left + at_door + door] = 0
     _open_doors(house, int(rng.integers(1, 4)), rng)
     return _with_things(house, MAX_THINGS, rng)
+
+
+def maze(rng: np.random.Generator) -> Cells:
+    """A maze on a square lattice, with some more passages than it needs, and a few things."""
+    num_y, num_x = (int(n) for n in rng.integers(5, 13, 2))
+    pitch = _cells(rng.uniform(0.8, 2.5))
+    whole = _room(num_y * pitch + WALL_CELLS, num_x * pitch + WALL_CELLS)
+    inside = whole[EDGE_CELLS:-EDGE_CELLS, EDGE_CELLS:-EDGE_CELLS]
+    for at in range(0, inside.shape[0], pitch):
+        inside[at : at + WALL_CELLS] = 100
+    for at in range(0, inside.shape[1], pitch):
+        inside[:, at : at + WALL_CELLS] = 100
+
+    def open_between(one: tuple[int, int], other: tuple[int, int]) -> None:
+        (row, col), (_, other_col) = min(one, other), max(one, other)
+        top, left = row * pitch + WALL_CELLS, col * pitch + WALL_CELLS
+        if other_col > col:
+            inside[top : top + pitch - WALL_CELLS, left : left + pitch] = 0
+        else:
+            inside[top : top + pitch, left : left + pitch - WALL_CELLS] = 0
+
+    path, seen = [(0, 0)], {(0, 0)}
+    while path:
+        row, col = path[-1]
+        beside = [(row + 1, col), (row - 1, col), (row, col + 1), (row, col - 1)]
+        free = [at for at in beside if 0 <= at[0] < num_y and 0 <= at[1] < num_x and at not in seen]
+        if not free:
+            path.pop()
+            continue
+        ahead = free[int(rng.integers(len(free)))]
+        open_between(path[-1], ahead)
+        seen.add(ahead)
+        path.append(ahead)
+    for _ in range(int(num_y * num_x * rng.uniform(0.0, 0.25))):
+        row, col = int(rng.integers(num_y - 1)), int(rng.integers(num_x - 1))
+        open_between((row, col), (row, col + 1) if rng.random() < 0.5 else (row + 1, col))
+    return _with_things(whole, MAX_NEW_THINGS, rng)
+
+
+PLACES: dict[str, Callable[[np.random.Generator], Cells]] = {
+    "racks": hall_of_racks,
+    "rooms": corridor_of_rooms,
+    "mazes": maze,
+}
 
 
 def _cells(metres: float) -> int:

@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from fit_verdict import Pair, compare, read_pairs, repeated_views, views, with_noise
-from places import repeating_views
+from places import PLACES, repeating_views
 
 from mapfusion import fuse_pair
 
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--views", type=int, default=40, help="of each pair")
     parser.add_argument("--repeated", type=int, default=24, help="views of places with a second wing, of each pair")
-    parser.add_argument("--places", type=int, default=0, help="halls of racks, and corridors of rooms")
+    parser.add_argument("--places", type=int, default=0, help="made-up places of each kind that repeat themselves")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
@@ -52,7 +52,7 @@ def main() -> None:
         for pair in whole
         for view in (*views(pair, whole, args.views, rng), *repeated_views(pair, args.repeated, rng))
     ]
-    cut += [view for kind in ("racks", "rooms") for view in repeating_views(kind, args.places, rng)]
+    cut += [view for kind in PLACES for view in repeating_views(kind, args.places, rng)]
     rows: Counter[tuple[str, str]] = Counter()
     with ProcessPoolExecutor(args.jobs) as executor:
         for kind, place, confidence, found in executor.map(attempt, cut, chunksize=4):

@@ -71,8 +71,6 @@ class Repeats:
 
 def repeats(one: PreparedMap) -> Repeats:
     """What repeats itself within a map that has walls."""
-    assert one.field is not None
-    surface = one.field.surface
     matches = match(one.features, one.features)
     is_other = matches.target != matches.source
     matches = Matches(matches.target[is_other], matches.source[is_other])
@@ -86,8 +84,8 @@ def repeats(one: PreparedMap) -> Repeats:
         order = order[net[order] >= MIN_REPEATED]
         poses = poses[order[distinct(poses[order], one.centre, SAME_CELLS, REFINED_DEGREES, len(order))]]
     poses = np.concatenate([poses, inverse(poses)])
-    recurs: npt.NDArray[np.bool_] = np.zeros(len(surface), np.bool_)
-    return Repeats(poses, np.logical_or.reduce(_meets(one, one, poses), axis=0) if len(poses) else recurs)
+    _, meets = _encountered(one, one, poses)
+    return Repeats(poses, np.logical_or.reduce(meets, axis=0))
 
 
 def weighed_against_repeats(finding: Finding, target: PreparedMap, source: PreparedMap, matches: Matches) -> Finding:
@@ -120,14 +118,15 @@ def _apart(poses: Poses, pose: Poses, target: PreparedMap, source: PreparedMap) 
     return np.asarray(poses[apart], np.float64)
 
 
-def _meets(there: PreparedMap, here: PreparedMap, poses: Poses) -> npt.NDArray[np.bool_]:
-    """(K, N) which walls of `here` meet a wall of `there` under poses (K, 3)."""
+def _encountered(
+    there: PreparedMap, here: PreparedMap, poses: Poses
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """(K, N) which walls of `here` lie in what `there` knows, and which meet a wall of it, under poses (K, 3)."""
     assert there.field is not None
     assert here.field is not None
     found = encounters(there.field, here.field.surface, poses)
     known = there.field.depth.ravel().take(found.cells) != NOT_KNOWN
-    meets: npt.NDArray[np.bool_] = known & found.same_side & (found.squared <= MEETS_CELLS**2)
-    return meets
+    return known, known & found.same_side & (found.squared <= MEETS_CELLS**2)
 
 
 def _recurring(
@@ -138,11 +137,7 @@ def _recurring(
         (target, source, pose[None], of_source),
         (source, target, inverse(pose[None]), of_target),
     ):
-        assert there.field is not None
-        assert here.field is not None
-        (agrees,) = _meets(there, here, move)
-        cells = encounters(there.field, here.field.surface, move).cells[0]
-        known = there.field.depth.ravel().take(cells) != NOT_KNOWN
+        (known,), (agrees,) = _encountered(there, here, move)
         agreeing += int(np.count_nonzero(agrees))
         agreeing_rest += int(np.count_nonzero(agrees & ~own.recurs))
         rest += int(np.count_nonzero(known & ~own.recurs))
