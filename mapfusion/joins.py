@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -23,7 +23,8 @@ OVERWHELMING = 0.999
 LET_GO_CONFIDENCE = 0.2
 """A held join whose transform falls below this is contradicted. Lower than what joins: hysteresis."""
 MAX_CONTRADICTIONS = 2
-"""So many contradicted looks in a row end a join."""
+"""So many contradicted looks in a row end a join, and so many searches in a row that do not find it again, where maps
+repeat themselves."""
 SAME_M, SAME_RAD = 0.5, np.radians(5.0)
 """Two looks within this, at the middle of b's area, found the same transform."""
 GROWTH = 0.1
@@ -34,6 +35,12 @@ time, unless the refusal was as near as this to a join: young maps grow fast, an
 THOROUGH_GROWTH = 7.0
 """A search is thorough where one of the maps has grown by this share since the pair's last thorough search or its
 first one, where it is to confirm a candidate, and where no map changes any more."""
+SEARCH_HELD_GROWTH = 1.0
+"""A joined pair is searched again when one of its maps has grown by this share: what is only verified stands against no
+rivals, and those of a small map may not have been in it."""
+CONFIRM_REPEATING_GROWTH = 1.0
+"""Where maps repeat themselves, a second look that finds the same confirms it only when one of them has grown by this
+share since the first: before that it sees the same parts once more."""
 MAX_THOROUGH = 2
 """So many searches of a snapshot are thorough."""
 MAX_LAST_THOROUGH = 16
@@ -45,6 +52,11 @@ MAX_SEARCHES = 4
 DISPUTED_OVERLAP = 0.2
 DISPUTING_GATES = ("contradiction", "mae")
 """Maps that overlap this far where other robots place them, and contradict each other there, are searched as well."""
+AMBIGUOUS_GATES = ("ambiguous", "repeats")
+"""A search that one of these gates refuses found another transform as likely."""
+REPEATING, NEAR_LIKE_FIT = 0.35, -1.0
+"""Maps repeat themselves where more than the first of the walls that agree have their like elsewhere in one map. Where
+an alignment that follows from that fits worse by less than the second, later maps will say which of them it is."""
 FOLLOW_NEW, FOLLOW_TURNED = 0.1, 0.25
 FOLLOW_NS = 30_000_000_000
 """A join is verified anew when this share of a map is new, when walls came and went in known cells that are this share
@@ -77,30 +89,39 @@ class _PairState:
         versions: Of the two grids when the pair was looked at last.
         looked_ns: When that was.
         looked_changes: By then, `num_new` and `num_turned` of the two robots' grids, see `NewestGrid`.
-        searched_cells: Known cells of the two grids when it was searched last.
+        searched_ns: When it was searched last.
+        searched_cells: Known cells of the two grids then.
         thorough_cells: The same of its last thorough search, of its first search before there was one.
         was_thorough: Whether its last search was thorough.
         is_near_miss: Whether its last search came near to a join.
         candidate: An accepted fusion that waits for confirmation, and since when.
+        candidate_cells: Known cells of the two grids when it was found first.
         is_confirmed: Whether it has it, or needs none.
         edge: The join, while it holds.
         found: The search that led to it.
         contradictions: Looks in a row that contradicted it.
-        is_disputed: Whether the place that other robots give the two does not look right between them.
+        ambiguities: Searches in a row that did not find it again, of maps that repeat themselves.
+        is_repeating: Whether a search found that the maps repeat themselves, or fit another way as well: a transform
+            that is only verified is worth nothing then.
+        is_disputed: Whether the place that its join, or other robots, give the two does not look right between them.
     """
 
     versions: tuple[int, int] = (0, 0)
     looked_ns: int = 0
     looked_changes: tuple[int, ...] = (0, 0, 0, 0)
+    searched_ns: int = 0
     searched_cells: tuple[int, int] | None = None
     thorough_cells: tuple[int, int] | None = None
     was_thorough: bool = False
     is_near_miss: bool = False
     candidate: tuple[PairFusion, int] | None = None
+    candidate_cells: tuple[int, int] = (0, 0)
     is_confirmed: bool = False
     edge: Edge | None = None
     found: PairFusion | None = None
     contradictions: int = 0
+    ambiguities: int = 0
+    is_repeating: bool = False
     is_disputed: bool = False
 
 
@@ -122,7 +143,9 @@ class Joins:
 
         A pair is looked at when enough of a map of it changed: a joined one is verified, as is one whose robots are
         tied over others while they have few joins; any other is searched, a few pairs at a time, and searched
-        thoroughly when nothing changes any more. The last snapshot looks at every pair of which anything changed.
+        thoroughly when nothing changes any more. So is one whose join the last look did not find right, or whose maps
+        repeat themselves: a transform that is only verified stands against no rivals, and these come with the maps'
+        growth. The last snapshot looks at every pair of which anything changed.
         """
         held = self.held
         num_ties = Counter(robot for pair in held for robot in pair)
@@ -138,9 +161,12 @@ class Joins:
                     searches.append((0.0, pair))
                 continue
             growth = math.inf if state.searched_cells is None else _grown(state.searched_cells, pair, snapshot)
-            may_search = state.is_near_miss or snapshot.stamp_ns - state.looked_ns >= SEARCH_AGAIN_NS
+            may_search = state.is_near_miss or snapshot.stamp_ns - state.searched_ns >= SEARCH_AGAIN_NS
             has_grown = growth > GROWTH and (may_search or state.searched_cells is None)
-            if T_a_b is not None and not (state.is_disputed and has_grown):
+            is_doubted = state.is_disputed or (pair in held and state.is_repeating)
+            is_to_search = is_doubted and (has_grown or (pair in held and snapshot.is_last))
+            is_to_search |= pair in held and state.searched_cells is not None and growth >= SEARCH_HELD_GROWTH
+            if T_a_b is not None and not is_to_search:
                 is_wanted = pair in held or min(num_ties[robot] for robot in pair) < NUM_TIES
                 if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
                     looks.append(Look(pair, T_a_b, state.found))
@@ -166,15 +192,21 @@ class Joins:
         state = self._states[look.pair]
         state.versions, state.looked_ns = _versions(look.pair, snapshot), snapshot.stamp_ns
         state.looked_changes = _changes(look.pair, snapshot)
-        if state.edge is not None:
+        if state.edge is not None and look.T_a_b is not None:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
-            state.edge = _edge(look.pair, fusion, snapshot) if fusion.accepted else None
+            is_one_more = fusion.accepted and not state.is_repeating
+            state.edge = _edge(look.pair, fusion, snapshot) if is_one_more else None
             state.is_disputed = fusion.gate in DISPUTING_GATES and fusion.overlap_ratio >= DISPUTED_OVERLAP
             return ""
+        state.searched_ns = snapshot.stamp_ns
         state.searched_cells, state.was_thorough = _known_cells(look.pair, snapshot), look.is_thorough
         if look.is_thorough or state.thorough_cells is None:
             state.thorough_cells = state.searched_cells
+        if fusion.accepted:
+            state.is_repeating = fusion.evidence.get("recurring", 0.0) > REPEATING
+        if state.edge is not None:
+            return self._challenge(state, look.pair, fusion, snapshot)
         self._consider(look.pair, fusion, snapshot)
         return ""
 
@@ -212,17 +244,26 @@ class Joins:
 
     def drop(self, pair: Pair) -> None:
         """Ends a join, so that the pair is searched anew."""
-        self._states[pair] = _PairState(versions=self._states[pair].versions)
+        state = self._states[pair]
+        self._states[pair] = _PairState(versions=state.versions, is_repeating=state.is_repeating)
 
     def _consider(self, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> None:
         state = self._states[pair]
         if fusion.accepted:
-            state.is_confirmed = fusion.confidence >= OVERWHELMING or _confirms(state, pair, fusion, snapshot)
+            is_found_again = _confirms(state, pair, fusion, snapshot)
+            if not is_found_again:
+                state.candidate_cells = _known_cells(pair, snapshot)
+            if state.is_repeating:
+                has_grown = _grown(state.candidate_cells, pair, snapshot) >= CONFIRM_REPEATING_GROWTH
+                state.is_confirmed = is_found_again and has_grown
+            else:
+                state.is_confirmed = is_found_again or fusion.confidence >= OVERWHELMING
             state.candidate = (fusion, snapshot.stamp_ns)
         else:
             self.refuse(pair, fusion)
 
     def _follow(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
+        state.is_disputed = not fusion.accepted
         if fusion.accepted:
             state.edge, state.contradictions = _edge(pair, fusion, snapshot), 0
         elif fusion.confidence >= LET_GO_CONFIDENCE:
@@ -234,6 +275,40 @@ class Joins:
                 return f"the join of {pair[0]} and {pair[1]} ends: {fusion.reason}"
         return ""
 
+    def _challenge(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
+        """Takes note of a search of a joined pair."""
+        assert state.edge is not None
+        ends = f"the join of {pair[0]} and {pair[1]} ends: "
+        if fusion.accepted and _is_same(state.edge.T_a_b, fusion.T_target_source, pair, snapshot):
+            state.found, state.ambiguities = fusion, 0
+            return self._follow(state, pair, fusion, snapshot)
+        if fusion.accepted:
+            self.drop(pair)
+            self._consider(pair, fusion, snapshot)
+            return ends + "a search puts them elsewhere"
+        state.is_repeating |= fusion.gate in AMBIGUOUS_GATES
+        state.ambiguities += state.is_repeating
+        if state.ambiguities >= MAX_CONTRADICTIONS:
+            self.drop(pair)
+            return ends + fusion.reason
+        return ""
+
+
+def held_back(fusion: PairFusion) -> PairFusion:
+    """The fusion of a search, refused where maps repeat themselves and the like of what agrees fits nearly as well.
+
+    Of two maps alone nothing more will be known, but a mission's maps grow.
+    """
+    evidence = fusion.evidence
+    like_fit = evidence.get("like_fit", -np.inf)
+    if not fusion.accepted or evidence.get("recurring", 0.0) <= REPEATING or like_fit <= NEAR_LIKE_FIT:
+        return fusion
+    reason = (
+        f"{evidence['recurring']:.0%} of the walls that agree have their like elsewhere in the same map, and an "
+        f"alignment that follows from that fits nearly as well (by {like_fit:.1f}, at most {NEAR_LIKE_FIT:g} is wanted)"
+    )
+    return replace(fusion, accepted=False, gate="repeats", reason=reason)
+
 
 def _is_settled(state: _PairState, snapshot: Snapshot) -> bool:
     """Whether a pair of which nothing has changed since it was searched in vain is to be searched thoroughly."""
@@ -243,7 +318,10 @@ def _is_settled(state: _PairState, snapshot: Snapshot) -> bool:
 
 def _is_worth_all(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
     """Whether a search of the pair is to be thorough."""
-    if snapshot.is_last or state.candidate is not None or state.versions == _versions(pair, snapshot):
+    is_to_be_sure = state.candidate is not None or (
+        state.edge is not None and (state.is_disputed or state.is_repeating)
+    )
+    if snapshot.is_last or is_to_be_sure or state.versions == _versions(pair, snapshot):
         return True
     return state.thorough_cells is not None and _grown(state.thorough_cells, pair, snapshot) >= THOROUGH_GROWTH
 
@@ -264,7 +342,11 @@ def _confirms(state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snaps
     """Whether a fusion found what the waiting candidate found."""
     if state.candidate is None:
         return False
-    one, other = state.candidate[0].T_target_source, fusion.T_target_source
+    return _is_same(state.candidate[0].T_target_source, fusion.T_target_source, pair, snapshot)
+
+
+def _is_same(one: SE2 | None, other: SE2 | None, pair: Pair, snapshot: Snapshot) -> bool:
+    """Whether two looks found the same transform."""
     if one is None or other is None:
         return False
     middle = snapshot.grids[pair[1]].middle_m

@@ -14,7 +14,7 @@ from mapfusion.config import ReplayConfig
 from mapfusion.fusion import PairFuser
 from mapfusion.grid import OccupancyGrid
 from mapfusion.groups import Groups
-from mapfusion.joins import Joins, Look
+from mapfusion.joins import Joins, Look, held_back
 from mapfusion.merge import MergedMapTooLargeError, merge_grids
 from mapfusion.posegraph import Misfit, Pair, pair_key, separated
 from mapfusion.priors import Priors, checked
@@ -125,7 +125,7 @@ def _look_at_pairs(
             return too_old
         prior = priors.of_pair(look.pair, snapshot.robots)
         if prior is None:
-            return fuser.fuse(a, b, look.is_thorough)
+            return held_back(fuser.fuse(a, b, look.is_thorough))
         near = checked(fuser.verify(a, b, prior.T_a_b), prior)
         return near if near.accepted else checked(fuser.fuse(a, b, look.is_thorough), prior)
 
