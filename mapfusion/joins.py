@@ -163,9 +163,10 @@ class Joins:
             growth = math.inf if state.searched_cells is None else _grown(state.searched_cells, pair, snapshot)
             may_search = state.is_near_miss or snapshot.stamp_ns - state.searched_ns >= SEARCH_AGAIN_NS
             has_grown = growth > GROWTH and (may_search or state.searched_cells is None)
-            is_doubted = state.is_disputed or (pair in held and state.is_repeating)
-            is_to_search = is_doubted and (has_grown or (pair in held and snapshot.is_last))
-            is_to_search |= pair in held and state.searched_cells is not None and growth >= SEARCH_HELD_GROWTH
+            if pair in held:
+                is_to_search = self.has_thorough and _is_worth_searching(state, snapshot, growth, has_grown)
+            else:
+                is_to_search = state.is_disputed and has_grown
             if T_a_b is not None and not is_to_search:
                 is_wanted = pair in held or min(num_ties[robot] for robot in pair) < NUM_TIES
                 if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
@@ -324,6 +325,13 @@ def _is_worth_all(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
     if snapshot.is_last or is_to_be_sure or state.versions == _versions(pair, snapshot):
         return True
     return state.thorough_cells is not None and _grown(state.thorough_cells, pair, snapshot) >= THOROUGH_GROWTH
+
+
+def _is_worth_searching(state: _PairState, snapshot: Snapshot, growth: float, has_grown: bool) -> bool:
+    """Whether a joined pair is to be searched again."""
+    if state.is_disputed or state.is_repeating:
+        return has_grown or snapshot.is_last
+    return state.searched_cells is not None and growth >= SEARCH_HELD_GROWTH
 
 
 def _is_worth_following(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:

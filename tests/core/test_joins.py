@@ -14,6 +14,7 @@ from mapfusion.joins import (
     SETTLED_NS,
     Joins,
     Look,
+    held_back,
 )
 from mapfusion.newest import NewestGrid
 from mapfusion.result import PairFusion
@@ -27,7 +28,12 @@ ACCEPTED = PairFusion(accepted=True, T_target_source=T, confidence=0.95)
 CERTAIN = replace(ACCEPTED, confidence=OVERWHELMING)
 REFUSED = PairFusion(accepted=False, reason="walls disagree", gate="confidence", T_target_source=T, confidence=0.1)
 DOUBTFUL = replace(REFUSED, confidence=0.6)
+ALIKE = {"recurring": 0.9, "like_fit": -2.0}
+REPEATING = replace(ACCEPTED, evidence=ALIKE)
+AMBIGUOUS = replace(REFUSED, gate="ambiguous", confidence=0.5)
+ELSEWHERE = replace(ACCEPTED, T_target_source=SE2(9.0, 2.0, 0.3))
 AB = ("a", "b")
+SEARCH, THOROUGH = Look(AB, None), Look(AB, None, is_thorough=True)
 
 
 def snapshot(second: float = 0.0, is_last: bool = False, known: int = 10, **versions: int) -> Snapshot:
@@ -246,3 +252,104 @@ def test_among_many_robots_a_few_pairs_are_searched_at_a_time_and_all_in_the_end
             joins.record(one, REFUSED, at)
     assert len(seen) == 8 * 7 // 2
     assert len(joins.due(snapshot(is_last=True, **dict.fromkeys(names, 9)), {})) == 8 * 7 // 2
+
+
+def joined_early() -> Joins:
+    """Joins with a and b joined by maps of 20 columns."""
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1, known=20), CERTAIN)
+    assert set(joins.held) == {AB}
+    return joins
+
+
+def test_a_join_is_searched_again_when_a_map_has_doubled() -> None:
+    joins = joined_early()
+    assert [one.T_a_b for one in joins.due(snapshot(second=20.0, a=2, b=1, known=39), {})] == [T]
+    assert joins.due(snapshot(second=20.0, a=2, b=1, known=40), {}) == [SEARCH]
+    assert look(joins, snapshot(second=20.0, a=2, b=1, known=40), ACCEPTED) == []
+    assert set(joins.held) == {AB}
+    assert [one.T_a_b for one in joins.due(snapshot(second=90.0, a=3, b=1, known=79), {})] == [T]
+
+
+def test_a_join_that_the_last_look_did_not_find_right_is_searched_thoroughly() -> None:
+    joins = joined_early()
+    look(joins, snapshot(second=5.0, a=2, b=1, known=23), DOUBTFUL)
+    assert joins.due(snapshot(second=20.0, a=3, b=1, known=24), {}) == [THOROUGH]
+    assert [one.T_a_b for one in joins.due(snapshot(second=9.0, a=3, b=1, known=26), {})] == [T]
+    assert joins.due(snapshot(second=9.0, is_last=True, a=3, b=1, known=24), {}) == [THOROUGH]
+    look(joins, snapshot(second=20.0, a=3, b=1, known=24), ACCEPTED)
+    assert [one.T_a_b for one in joins.due(snapshot(second=60.0, a=4, b=1, known=28), {})] == [T]
+
+
+def test_a_search_that_puts_a_joined_pair_elsewhere_ends_the_join_and_is_a_candidate() -> None:
+    joins = joined_early()
+    grown = snapshot(second=20.0, a=2, b=1, known=40)
+    assert look(joins, grown, ELSEWHERE) == ["the join of a and b ends: a search puts them elsewhere"]
+    assert joins.held == {}
+    assert look(joins, snapshot(second=21.0, a=3, b=1, known=40), ELSEWHERE) == ["a and b join"]
+    assert joins.held[AB].T_a_b == ELSEWHERE.T_target_source
+
+
+def test_a_search_of_a_joined_pair_that_finds_nothing_leaves_it() -> None:
+    joins = joined_early()
+    for second, known in ((20.0, 40), (40.0, 80)):
+        assert look(joins, snapshot(second=second, a=int(second), b=1, known=known), REFUSED) == []
+    assert set(joins.held) == {AB}
+
+
+def test_two_ambiguous_searches_in_a_row_end_a_join_and_say_why() -> None:
+    joins = joined_early()
+    assert look(joins, snapshot(second=20.0, a=2, b=1, known=40), AMBIGUOUS) == []
+    assert joins.due(snapshot(second=40.0, a=3, b=1, known=45), {}) == [THOROUGH]
+    ended = look(joins, snapshot(second=40.0, a=3, b=1, known=45), AMBIGUOUS)
+    assert ended == ["the join of a and b ends: walls disagree"]
+    assert joins.held == {}
+
+
+def test_a_search_that_finds_the_join_again_forgets_an_ambiguous_one() -> None:
+    joins = joined_early()
+    for number, fusion in enumerate((AMBIGUOUS, REPEATING, AMBIGUOUS), 2):
+        assert look(joins, snapshot(second=20.0 * number, a=number, b=1, known=20 * number), fusion) == []
+    assert set(joins.held) == {AB}
+
+
+def test_where_maps_repeat_themselves_a_second_look_confirms_what_it_saw_more_of() -> None:
+    joins = Joins()
+    certain = replace(REPEATING, confidence=OVERWHELMING)
+    assert look(joins, snapshot(a=1, b=1, known=20), certain) == []
+    assert look(joins, snapshot(second=1.0, a=2, b=1, known=39), certain) == []
+    assert look(joins, snapshot(second=2.0, a=3, b=1, known=40), certain) == ["a and b join"]
+    # From then on every growth asks for a search.
+    assert joins.due(snapshot(second=14.0, a=4, b=1, known=45), {}) == [THOROUGH]
+
+
+def test_a_different_find_starts_the_wait_anew() -> None:
+    joins = Joins()
+    elsewhere = replace(ELSEWHERE, evidence=ALIKE)
+    for second, known, fusion in ((0.0, 20, REPEATING), (1.0, 30, elsewhere), (2.0, 50, elsewhere)):
+        assert look(joins, snapshot(second=second, a=1 + int(second), b=1, known=known), fusion) == []
+    assert look(joins, snapshot(second=3.0, a=9, b=1, known=60), elsewhere) == ["a and b join"]
+
+
+def test_robots_of_maps_that_repeat_themselves_are_not_joined_by_a_look_at_where_others_place_them() -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1, known=20), REPEATING)
+    look(joins, snapshot(second=1.0, a=2, b=1, known=20), REFUSED)
+    placements = {"a": Placement(1, SE2.identity()), "b": Placement(1, T)}
+    later = snapshot(second=60.0, a=3, b=1, known=30)
+    assert [one.T_a_b for one in joins.due(later, placements)] == [T]
+    look(joins, later, ACCEPTED, placements=placements)
+    assert joins.held == {}
+
+
+def test_a_fusion_is_held_back_where_its_like_fits_nearly_as_well() -> None:
+    assert held_back(REPEATING) is REPEATING
+    assert held_back(ACCEPTED) is ACCEPTED
+    assert held_back(REFUSED) is REFUSED
+    near = replace(ACCEPTED, evidence={"recurring": 0.9, "like_fit": -0.5})
+    refused = held_back(near)
+    assert (refused.accepted, refused.gate) == (False, "repeats")
+    assert "90% of the walls that agree have their like elsewhere in the same map" in refused.reason
+    assert refused.T_target_source == near.T_target_source
+    assert held_back(replace(near, evidence={"recurring": 0.3, "like_fit": -0.5})).accepted
+    assert held_back(replace(near, evidence={"recurring": 0.9})).accepted
