@@ -1,5 +1,7 @@
 """Whole missions against their truth: `python benchmarks/missions.py [--seeds 1 2 3 ...] [--robots 3] [--buildings 1]`.
 
+With `--place racks` (or rooms, mazes) in places that repeat themselves instead of floor plans, see `places.py`.
+
 Without seeds: ten missions of 2 to 12 robots, two of them with buildings that never meet, with the seeds from
 `--first-seed` on; only seeds that were never used say how the method does on missions that it was not made with.
 
@@ -15,12 +17,16 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
+
+from places import PLACES, plan_of
 
 from mapfusion.config import ReplayConfig
 from mapfusion.grid import OccupancyGrid
 from mapfusion.pipeline import replay
 from mapfusion.simulation.events import mission_events
+from mapfusion.simulation.floor_plan import random_floor_plan
 from mapfusion.simulation.messages import Mission
 from mapfusion.simulation.mission import simulate_mission
 from mapfusion.simulation.mission_config import MissionConfig
@@ -63,6 +69,7 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=3)
     parser.add_argument("--buildings", type=int, default=1)
     parser.add_argument("--duration", type=float, default=80.0)
+    parser.add_argument("--place", choices=list(PLACES), help="of which kind the places are; floor plans otherwise")
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
     given = [
@@ -73,7 +80,7 @@ def main() -> None:
     ]
     suite = [replace(config, seed=arguments.first_seed + number) for number, config in enumerate(SUITE)]
     for config in given or suite:
-        judged = judge(config, arguments.jobs)
+        judged = judge(config, arguments.jobs, arguments.place)
         print(
             f"seed {config.seed}: {config.num_robots} robots, {config.num_buildings} buildings, "
             f"{config.duration_s:.0f} s: "
@@ -84,9 +91,9 @@ def main() -> None:
         )
 
 
-def judge(config: MissionConfig, jobs: int) -> Judged:
+def judge(config: MissionConfig, jobs: int, place: str | None = None) -> Judged:
     """Simulates, replays and compares with the truth."""
-    mission = simulate_mission(config)
+    mission = simulate_mission(config, random_floor_plan if place is None else partial(plan_of, place))
     truth = {robot.name: robot for robot in mission.robots}
     recorded = list(mission_events(mission))  # so that the simulation's own time does not count
     last_maps = {event.robot: event.grid for event in recorded if isinstance(event, GridEvent)}

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+import cv2
 import numpy as np
 from fit_verdict import RESOLUTION_M, Pair, views, with_noise
 
 from mapfusion.grid import Cells, OccupancyGrid
+from mapfusion.simulation.plan import PLAN_RESOLUTION_M, FloorPlan
 from mapfusion.transform import SE2
 
 EDGE_CELLS = 20
 WALL_CELLS = 2
 VIEWS_OF_PLACE = 3
 MAX_THINGS, MAX_NEW_THINGS = 20, 8
+CLEARANCE_M, NUM_PLACES = 0.5, 30
 
 
 def repeating_views(kind: str, number: int, rng: np.random.Generator) -> Iterator[Pair]:
@@ -28,6 +31,17 @@ def repeating_views(kind: str, number: int, rng: np.random.Generator) -> Iterato
         for view in views(pair, [pair], VIEWS_OF_PLACE, rng):
             noisy = with_noise(view, rng)
             yield Pair(f"{kind}: {noisy.kind}", noisy.place, noisy.a, noisy.b, noisy.T_a_b)
+
+
+def plan_of(kind: str, rng: np.random.Generator) -> FloorPlan:
+    """A place as a floor plan for a mission, with some points in the open to drive to."""
+    occupied = PLACES[kind](rng) != 0
+    free = np.logical_not(occupied).astype(np.uint8)
+    clearance_m = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(PLAN_RESOLUTION_M)
+    rows, cols = np.nonzero(clearance_m > CLEARANCE_M)
+    chosen = rng.choice(len(rows), min(NUM_PLACES, len(rows)), replace=False)
+    places_m = (np.stack([cols[chosen], rows[chosen]], axis=-1) + 0.5) * PLAN_RESOLUTION_M
+    return FloorPlan(occupied, np.asarray(clearance_m, np.float32), places_m)
 
 
 def hall_of_racks(rng: np.random.Generator) -> Cells:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -21,12 +21,14 @@ _CANDIDATE_TOURS = 8
 _NEAR_M = 5.0
 
 
-def simulate_mission(config: MissionConfig) -> Mission:
+def simulate_mission(
+    config: MissionConfig, draw_plan: Callable[[np.random.Generator], FloorPlan] = random_floor_plan
+) -> Mission:
     """Draws buildings and tours; the scans and maps are made when the messages are asked for.
 
     Robots of one building do not see each other.
     """
-    plans = [random_floor_plan(generator(config, "plan", k)) for k in range(config.num_buildings)]
+    plans = [draw_plan(generator(config, "plan", k)) for k in range(config.num_buildings)]
     headings_rad = [generator(config, "heading", k).uniform(-math.pi, math.pi) for k in range(config.num_robots)]
     robots = [travelling_robot(config, k, tour, headings_rad[k]) for k, tour in enumerate(_tours_m(config, plans))]
 
