@@ -35,11 +35,14 @@ def repeating_views(kind: str, number: int, rng: np.random.Generator) -> Iterato
 
 def plan_of(kind: str, rng: np.random.Generator) -> FloorPlan:
     """A place as a floor plan for a mission, with some points in the open to drive to."""
-    occupied = PLACES[kind](rng) != 0
-    free = np.logical_not(occupied).astype(np.uint8)
-    clearance_m = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(PLAN_RESOLUTION_M)
-    rows, cols = np.nonzero(clearance_m > CLEARANCE_M)
-    chosen = rng.choice(len(rows), min(NUM_PLACES, len(rows)), replace=False)
+    while True:
+        occupied = PLACES[kind](rng) != 0
+        free = np.logical_not(occupied).astype(np.uint8)
+        clearance_m = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(PLAN_RESOLUTION_M)
+        rows, cols = np.nonzero(clearance_m > CLEARANCE_M)
+        if len(rows) >= NUM_PLACES:  # not in every maze a robot can turn
+            break
+    chosen = rng.choice(len(rows), NUM_PLACES, replace=False)
     places_m = (np.stack([cols[chosen], rows[chosen]], axis=-1) + 0.5) * PLAN_RESOLUTION_M
     return FloorPlan(occupied, np.asarray(clearance_m, np.float32), places_m)
 

@@ -56,7 +56,9 @@ AMBIGUOUS_GATES = ("ambiguous", "repeats")
 """A search that one of these gates refuses found another transform as likely."""
 REPEATING, NEAR_LIKE_FIT = 0.35, -1.0
 """Maps repeat themselves where more than the first of the walls that agree have their like elsewhere in one map. Where
-an alignment that follows from that fits worse by less than the second, later maps will say which of them it is."""
+an alignment that follows from that fits no worse than by the second, later maps will say which of them it is."""
+HELD_BACK_CONFIDENCE = 0.5
+"""Most confidence that is left of a fusion that is held back: as of others that a gate refuses."""
 FOLLOW_NEW, FOLLOW_TURNED = 0.1, 0.25
 FOLLOW_NS = 30_000_000_000
 """A join is verified anew when this share of a map is new, when walls came and went in known cells that are this share
@@ -163,17 +165,21 @@ class Joins:
             growth = math.inf if state.searched_cells is None else _grown(state.searched_cells, pair, snapshot)
             may_search = state.is_near_miss or snapshot.stamp_ns - state.searched_ns >= SEARCH_AGAIN_NS
             has_grown = growth > GROWTH and (may_search or state.searched_cells is None)
+            is_waiting = state.candidate is not None and (has_grown or not state.is_repeating)
             if pair in held:
                 is_to_search = self.has_thorough and _is_worth_searching(state, snapshot, growth, has_grown)
             else:
-                is_to_search = state.is_disputed and has_grown
-            if T_a_b is not None and not is_to_search:
+                is_doubted = state.is_disputed and has_grown and (state.edge is None or self.has_thorough)
+                is_to_search = is_doubted or is_waiting
+            if T_a_b is not None:
                 is_wanted = pair in held or min(num_ties[robot] for robot in pair) < NUM_TIES
                 if snapshot.is_last or (is_wanted and _is_worth_following(state, pair, snapshot)):
                     looks.append(Look(pair, T_a_b, state.found))
-            elif snapshot.is_last or state.candidate is not None or has_grown:
+            if is_to_search or (T_a_b is None and (snapshot.is_last or is_waiting or has_grown)):
                 searches.append((growth, pair))
-        looks += self._searches(searches, snapshot)
+        chosen = self._searches(searches, snapshot)
+        searched = {look.pair for look in chosen}
+        looks = [look for look in looks if look.pair not in searched] + chosen
         return sorted(looks, key=lambda look: pair_key(look.pair))
 
     def _searches(self, wanted: list[tuple[float, Pair]], snapshot: Snapshot) -> list[Look]:
@@ -191,8 +197,9 @@ class Joins:
     def record(self, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
         """Takes note of a look; says so where a join ended."""
         state = self._states[look.pair]
-        state.versions, state.looked_ns = _versions(look.pair, snapshot), snapshot.stamp_ns
-        state.looked_changes = _changes(look.pair, snapshot)
+        state.versions = _versions(look.pair, snapshot)
+        if state.edge is None or look.T_a_b is not None or fusion.accepted:
+            state.looked_ns, state.looked_changes = snapshot.stamp_ns, _changes(look.pair, snapshot)
         if state.edge is not None and look.T_a_b is not None:
             return self._follow(state, look.pair, fusion, snapshot)
         if look.T_a_b is not None:  # tied over others: a fusion that holds is one more measurement
@@ -204,10 +211,10 @@ class Joins:
         state.searched_cells, state.was_thorough = _known_cells(look.pair, snapshot), look.is_thorough
         if look.is_thorough or state.thorough_cells is None:
             state.thorough_cells = state.searched_cells
-        if fusion.accepted:
-            state.is_repeating = fusion.evidence.get("recurring", 0.0) > REPEATING
+        if "recurring" in fusion.evidence:
+            state.is_repeating = fusion.evidence["recurring"] > REPEATING
         if state.edge is not None:
-            return self._challenge(state, look.pair, fusion, snapshot)
+            return self._challenge(state, look, fusion, snapshot)
         self._consider(look.pair, fusion, snapshot)
         return ""
 
@@ -220,14 +227,18 @@ class Joins:
         for pair, state in self._states.items():
             if state.candidate is not None:
                 fusion, since_ns = state.candidate
-                if state.is_confirmed or snapshot.is_last or snapshot.stamp_ns - since_ns >= SETTLED_NS:
+                is_settled = snapshot.stamp_ns - since_ns >= SETTLED_NS
+                if state.is_repeating:  # that nobody had time for it is not enough
+                    is_settled &= state.versions == _versions(pair, snapshot)
+                if state.is_confirmed or snapshot.is_last or is_settled:
                     ripe[pair] = fusion
         return {pair: ripe[pair] for pair in sorted(ripe, key=pair_key)}
 
     def join(self, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
         """Joins a pair by a fusion; says so."""
         state = self._states[pair]
-        state.candidate, state.contradictions, state.found = None, 0, fusion
+        state.candidate, state.contradictions, state.ambiguities, state.found = None, 0, 0, fusion
+        state.is_near_miss = state.is_disputed = False
         state.edge = _edge(pair, fusion, snapshot)
         return f"{pair[0]} and {pair[1]} join"
 
@@ -276,19 +287,22 @@ class Joins:
                 return f"the join of {pair[0]} and {pair[1]} ends: {fusion.reason}"
         return ""
 
-    def _challenge(self, state: _PairState, pair: Pair, fusion: PairFusion, snapshot: Snapshot) -> str:
+    def _challenge(self, state: _PairState, look: Look, fusion: PairFusion, snapshot: Snapshot) -> str:
         """Takes note of a search of a joined pair."""
         assert state.edge is not None
-        ends = f"the join of {pair[0]} and {pair[1]} ends: "
-        if fusion.accepted and _is_same(state.edge.T_a_b, fusion.T_target_source, pair, snapshot):
+        pair, ends = look.pair, f"the join of {look.pair[0]} and {look.pair[1]} ends: "
+        is_same = _is_same(state.edge.T_a_b, fusion.T_target_source, pair, snapshot)
+        if fusion.accepted and is_same:
             state.found, state.ambiguities = fusion, 0
             return self._follow(state, pair, fusion, snapshot)
         if fusion.accepted:
             self.drop(pair)
             self._consider(pair, fusion, snapshot)
+            self._states[pair].is_confirmed = False  # by nobody but itself
             return ends + "a search puts them elsewhere"
+        is_lost = look.is_thorough and fusion.T_target_source is not None and not is_same
         state.is_repeating |= fusion.gate in AMBIGUOUS_GATES
-        state.ambiguities += state.is_repeating
+        state.ambiguities += state.is_repeating and (fusion.gate in AMBIGUOUS_GATES or is_lost)
         if state.ambiguities >= MAX_CONTRADICTIONS:
             self.drop(pair)
             return ends + fusion.reason
@@ -308,7 +322,9 @@ def held_back(fusion: PairFusion) -> PairFusion:
         f"{evidence['recurring']:.0%} of the walls that agree have their like elsewhere in the same map, and an "
         f"alignment that follows from that fits nearly as well (by {like_fit:.1f}, at most {NEAR_LIKE_FIT:g} is wanted)"
     )
-    return replace(fusion, accepted=False, gate="repeats", reason=reason)
+    return replace(
+        fusion, accepted=False, gate="alike", reason=reason, confidence=min(fusion.confidence, HELD_BACK_CONFIDENCE)
+    )
 
 
 def _is_settled(state: _PairState, snapshot: Snapshot) -> bool:
@@ -328,7 +344,9 @@ def _is_worth_all(state: _PairState, pair: Pair, snapshot: Snapshot) -> bool:
 
 
 def _is_worth_searching(state: _PairState, snapshot: Snapshot, growth: float, has_grown: bool) -> bool:
-    """Whether a joined pair is to be searched again."""
+    """Whether a joined pair is to be searched again; one that a look contradicted is to be looked at as it is first."""
+    if state.contradictions and not state.is_repeating:
+        return False
     if state.is_disputed or state.is_repeating:
         return has_grown or snapshot.is_last
     return state.searched_cells is not None and growth >= SEARCH_HELD_GROWTH

@@ -127,7 +127,7 @@ def _look_at_pairs(
         if prior is None:
             return held_back(fuser.fuse(a, b, look.is_thorough))
         near = checked(fuser.verify(a, b, prior.T_a_b), prior)
-        return near if near.accepted else checked(fuser.fuse(a, b, look.is_thorough), prior)
+        return near if near.accepted else checked(held_back(fuser.fuse(a, b, look.is_thorough)), prior)
 
     fusions = {look.pair: fusion for look, fusion in zip(looks, each(take, looks), strict=True)}
     changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks]

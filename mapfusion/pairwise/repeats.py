@@ -51,6 +51,8 @@ MIN_REPEATED = 70.0
 """Net evidence from which on a map that is laid onto itself repeats itself."""
 MEETS_CELLS = 3.0
 """Walls this near a wall of their own map recur, and this near one of the other map agree."""
+NUM_ASKED = 2000
+"""About so many of a map's walls are asked whether they recur, spread evenly."""
 NUM_SHIFTED = 8
 """So many alignments that follow from another one are looked at."""
 
@@ -62,7 +64,7 @@ class Repeats:
     Attributes:
         poses: (K, 3) of the map in itself under which it repeats itself, none of them near the identity, and then their
             inverses.
-        recurs: (N,) which walls of its surface meet another wall under one of them.
+        recurs: (N,) which of NUM_ASKED walls of its surface meet another wall under one of them.
     """
 
     poses: Poses
@@ -121,10 +123,10 @@ def _apart(poses: Poses, pose: Poses, target: PreparedMap, source: PreparedMap) 
 def _encountered(
     there: PreparedMap, here: PreparedMap, poses: Poses
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """(K, N) which walls of `here` lie in what `there` knows, and which meet a wall of it, under poses (K, 3)."""
+    """(K, N) which of NUM_ASKED walls of `here` `there` knows, and which meet a wall of it, under poses (K, 3)."""
     assert there.field is not None
     assert here.field is not None
-    found = encounters(there.field, here.field.surface, poses)
+    found = encounters(there.field, here.field.surface.thinned(NUM_ASKED), poses)
     known = there.field.depth.ravel().take(found.cells) != NOT_KNOWN
     return known, known & found.same_side & (found.squared <= MEETS_CELLS**2)
 
@@ -132,19 +134,20 @@ def _encountered(
 def _recurring(
     target: PreparedMap, source: PreparedMap, pose: Poses, of_target: Repeats, of_source: Repeats
 ) -> dict[str, float]:
-    agreeing = agreeing_rest = rest = 0
+    agreeing = agreeing_rest = rest = 0.0
     for there, here, move, own in (
         (target, source, pose[None], of_source),
         (source, target, inverse(pose[None]), of_target),
     ):
         (known,), (agrees,) = _encountered(there, here, move)
-        agreeing += int(np.count_nonzero(agrees))
-        agreeing_rest += int(np.count_nonzero(agrees & ~own.recurs))
-        rest += int(np.count_nonzero(known & ~own.recurs))
+        of_all = here.num_walls / len(own.recurs)
+        agreeing += of_all * np.count_nonzero(agrees)
+        agreeing_rest += of_all * np.count_nonzero(agrees & ~own.recurs)
+        rest += of_all * np.count_nonzero(known & ~own.recurs)
     return {
-        "recurring": 1.0 - agreeing_rest / max(agreeing, 1),
-        "rest_cells": float(rest),
-        "rest_ratio": agreeing_rest / max(rest, 1),
+        "recurring": 1.0 - agreeing_rest / max(agreeing, 1.0),
+        "rest_cells": rest,
+        "rest_ratio": agreeing_rest / max(rest, 1.0),
     }
 
 

@@ -317,24 +317,68 @@ def test_where_maps_repeat_themselves_a_second_look_confirms_what_it_saw_more_of
     joins = Joins()
     certain = replace(REPEATING, confidence=OVERWHELMING)
     assert look(joins, snapshot(a=1, b=1, known=20), certain) == []
-    assert look(joins, snapshot(second=1.0, a=2, b=1, known=39), certain) == []
-    assert look(joins, snapshot(second=2.0, a=3, b=1, known=40), certain) == ["a and b join"]
-    # From then on every growth asks for a search.
-    assert joins.due(snapshot(second=14.0, a=4, b=1, known=45), {}) == [THOROUGH]
+    assert joins.due(snapshot(second=9.0, a=2, b=1, known=39), {}) == []
+    assert look(joins, snapshot(second=10.0, a=2, b=1, known=39), certain) == []
+    assert look(joins, snapshot(second=20.0, a=3, b=1, known=44), certain) == ["a and b join"]
+    # From then on growth asks for a search.
+    assert joins.due(snapshot(second=30.0, a=4, b=1, known=49), {}) == [THOROUGH]
 
 
 def test_a_different_find_starts_the_wait_anew() -> None:
     joins = Joins()
     elsewhere = replace(ELSEWHERE, evidence=ALIKE)
-    for second, known, fusion in ((0.0, 20, REPEATING), (1.0, 30, elsewhere), (2.0, 50, elsewhere)):
-        assert look(joins, snapshot(second=second, a=1 + int(second), b=1, known=known), fusion) == []
-    assert look(joins, snapshot(second=3.0, a=9, b=1, known=60), elsewhere) == ["a and b join"]
+    for number, (known, fusion) in enumerate(((20, REPEATING), (30, elsewhere), (50, elsewhere)), 1):
+        assert look(joins, snapshot(second=20.0 * number, a=number, b=1, known=known), fusion) == []
+    assert look(joins, snapshot(second=80.0, a=9, b=1, known=60), elsewhere) == ["a and b join"]
+
+
+def test_a_repeating_candidate_joins_when_no_map_changes_and_not_when_nobody_had_time_for_it() -> None:
+    settled = SETTLED_NS / SECOND_NS
+    for version, expected in ((1, ["a and b join"]), (2, [])):
+        joins = Joins()
+        look(joins, snapshot(a=1, b=1, known=20), REPEATING)
+        at = snapshot(second=settled, a=version, b=1, known=21)
+        assert [joins.join(*ripe, at) for ripe in joins.ripe(at).items()] == expected
+
+
+def test_what_maps_repeat_is_remembered_until_a_search_asks_again() -> None:
+    joins = Joins()
+    look(joins, snapshot(a=1, b=1, known=20), REPEATING)
+    assert look(joins, snapshot(second=20.0, a=2, b=1, known=30), CERTAIN) == []
+    apart = replace(CERTAIN, evidence={"recurring": 0.1})
+    assert look(joins, snapshot(second=40.0, a=3, b=1, known=35), apart) == ["a and b join"]
+
+
+def test_a_candidate_is_searched_and_not_verified_where_others_place_the_two() -> None:
+    joins = joined_early()
+    look(joins, snapshot(second=20.0, a=2, b=1, known=40), ELSEWHERE)
+    placements = {"a": Placement(1, SE2.identity()), "b": Placement(1, T)}
+    assert joins.due(snapshot(second=21.0, a=3, b=1, known=40), placements) == [THOROUGH]
+
+
+def test_a_contradicted_join_is_verified_first() -> None:
+    joins = joined_early()
+    look(joins, snapshot(second=5.0, a=2, b=1, known=23), REFUSED)
+    last = snapshot(second=20.0, is_last=True, a=3, b=1, known=60)
+    assert [one.T_a_b for one in joins.due(last, {})] == [T]
+    assert look(joins, last, REFUSED) == ["the join of a and b ends: walls disagree"]
+
+
+def test_an_old_map_says_nothing_against_a_join() -> None:
+    joins = Joins()
+    certain = replace(REPEATING, confidence=OVERWHELMING)
+    for number, known in enumerate((20, 40), 1):
+        look(joins, snapshot(second=20.0 * number, a=number, b=1, known=known), certain)
+    old = PairFusion(accepted=False, reason="too old", gate="old map")
+    for number, known in enumerate((50, 60, 70), 3):
+        assert look(joins, snapshot(second=20.0 * number, a=number, b=1, known=known), old) == []
+    assert set(joins.held) == {AB}
 
 
 def test_robots_of_maps_that_repeat_themselves_are_not_joined_by_a_look_at_where_others_place_them() -> None:
     joins = Joins()
     look(joins, snapshot(a=1, b=1, known=20), REPEATING)
-    look(joins, snapshot(second=1.0, a=2, b=1, known=20), REFUSED)
+    look(joins, snapshot(second=10.0, a=2, b=1, known=25), REFUSED)
     placements = {"a": Placement(1, SE2.identity()), "b": Placement(1, T)}
     later = snapshot(second=60.0, a=3, b=1, known=30)
     assert [one.T_a_b for one in joins.due(later, placements)] == [T]
@@ -348,8 +392,9 @@ def test_a_fusion_is_held_back_where_its_like_fits_nearly_as_well() -> None:
     assert held_back(REFUSED) is REFUSED
     near = replace(ACCEPTED, evidence={"recurring": 0.9, "like_fit": -0.5})
     refused = held_back(near)
-    assert (refused.accepted, refused.gate) == (False, "repeats")
+    assert (refused.accepted, refused.gate) == (False, "alike")
     assert "90% of the walls that agree have their like elsewhere in the same map" in refused.reason
     assert refused.T_target_source == near.T_target_source
+    assert refused.confidence == 0.5
     assert held_back(replace(near, evidence={"recurring": 0.3, "like_fit": -0.5})).accepted
     assert held_back(replace(near, evidence={"recurring": 0.9})).accepted

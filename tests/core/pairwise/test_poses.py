@@ -30,7 +30,7 @@ def test_poses_follow_each_other_as_se2_does() -> None:
     both = to_se2(outer, 1.0) @ to_se2(inner, 1.0)
     for followed in (after(outer, inner), after(outer[None], inner), after(POSES, inner)[:1]):
         assert followed.shape == (1, 3)
-        assert to_se2(followed[0], 1.0).distance_to(both) < (1e-9, 1e-9)
+        np.testing.assert_allclose(to_se2(followed[0], 1.0).distance_to(both), 0.0, atol=1e-9)
     assert after(POSES, inverse(POSES)).shape == (2, 3)
     np.testing.assert_allclose(after(POSES, inverse(POSES)), 0.0, atol=1e-9)
     assert after(outer, np.zeros((0, 3))).shape == (0, 3)
@@ -39,7 +39,7 @@ def test_poses_follow_each_other_as_se2_does() -> None:
 def test_metres_and_cells_convert_both_ways() -> None:
     T = SE2(1.5, -0.25, 2.0)
     again = to_se2(from_se2(T, 0.05), 0.05)
-    assert T.distance_to(again) < (1e-9, 1e-9)
+    np.testing.assert_allclose(T.distance_to(again), 0.0, atol=1e-9)
 
 
 def test_pose_from_centre_takes_the_centre_where_it_shall_lie() -> None:

@@ -11,7 +11,7 @@ from mapfusion.grid import Cells
 from mapfusion.pairwise import search
 from mapfusion.pairwise.poses import after
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.repeats import repeats, weighed_against_repeats
+from mapfusion.pairwise.repeats import NUM_ASKED, repeats, weighed_against_repeats
 from mapfusion.pairwise.search import Candidate, Finding
 from mapfusion.pairwise.verdict import may_repeat_itself, repeats_itself
 from mapfusion.pairwise.voting import match
@@ -70,7 +70,7 @@ def test_only_walls_with_their_like_elsewhere_recur(row: PreparedMap) -> None:
     place[-20:-8, 100:130] = 100  # a thing of its own, in the corridor
     marked = map_of(place)
     assert marked.field is not None
-    (x, y), recurs = marked.field.surface.points.T, repeats(marked).recurs
+    (x, y), recurs = marked.field.surface.thinned(NUM_ASKED).points.T, repeats(marked).recurs
     at_thing = (x > 98) & (x < 132) & (y > place.shape[0] - 22) & (y < place.shape[0] - 6)
     assert recurs[at_thing].mean() < 0.3
     assert recurs[~at_thing].mean() > 0.8
