@@ -145,9 +145,9 @@ def _recurring(
         agreeing_rest += of_all * np.count_nonzero(agrees & ~own.recurs)
         rest += of_all * np.count_nonzero(known & ~own.recurs)
     return {
-        "recurring": 1.0 - agreeing_rest / max(agreeing, 1.0),
-        "rest_cells": rest,
-        "rest_ratio": agreeing_rest / max(rest, 1.0),
+        "recurring": float(1.0 - agreeing_rest / max(agreeing, 1.0)),
+        "rest_cells": float(rest),
+        "rest_ratio": float(agreeing_rest / max(rest, 1.0)),
     }
 
 
