@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapfusion.newest import NewestGrid
+from mapfusion.pairwise.verdict import REFUSED_CONFIDENCE
 from mapfusion.posegraph import Edge, Pair, pair_key, strongest
 from mapfusion.result import PairFusion
 from mapfusion.steps import Placement, natural_key
@@ -34,7 +35,7 @@ NEAR_MISS_CONFIDENCE = 0.2
 time, unless the refusal was as near as this to a join: young maps grow fast, and share too little yet."""
 THOROUGH_GROWTH = 7.0
 """A search is thorough where one of the maps has grown by this share since the pair's last thorough search or its
-first one, where it is to confirm a candidate, and where no map changes any more."""
+first one, where it is to confirm a candidate or to find a doubted join again, and where no map changes any more."""
 SEARCH_HELD_GROWTH = 1.0
 """A joined pair is searched again when one of its maps has grown by this share: what is only verified stands against no
 rivals, and those of a small map may not have been in it."""
@@ -57,8 +58,6 @@ AMBIGUOUS_GATES = ("ambiguous", "repeats")
 REPEATING, NEAR_LIKE_FIT = 0.35, -1.0
 """Maps repeat themselves where more than the first of the walls that agree have their like elsewhere in one map. Where
 an alignment that follows from that fits no worse than by the second, later maps will say which of them it is."""
-HELD_BACK_CONFIDENCE = 0.5
-"""Most confidence that is left of a fusion that is held back: as of others that a gate refuses."""
 FOLLOW_NEW, FOLLOW_TURNED = 0.1, 0.25
 FOLLOW_NS = 30_000_000_000
 """A join is verified anew when this share of a map is new, when walls came and went in known cells that are this share
@@ -198,7 +197,7 @@ class Joins:
         """Takes note of a look; says so where a join ended."""
         state = self._states[look.pair]
         state.versions = _versions(look.pair, snapshot)
-        if state.edge is None or look.T_a_b is not None or fusion.accepted:
+        if state.edge is None or look.T_a_b is not None or fusion.accepted:  # else the join is still to be verified
             state.looked_ns, state.looked_changes = snapshot.stamp_ns, _changes(look.pair, snapshot)
         if state.edge is not None and look.T_a_b is not None:
             return self._follow(state, look.pair, fusion, snapshot)
@@ -322,9 +321,8 @@ def held_back(fusion: PairFusion) -> PairFusion:
         f"{evidence['recurring']:.0%} of the walls that agree have their like elsewhere in the same map, and an "
         f"alignment that follows from that fits nearly as well (by {like_fit:.1f}, at most {NEAR_LIKE_FIT:g} is wanted)"
     )
-    return replace(
-        fusion, accepted=False, gate="alike", reason=reason, confidence=min(fusion.confidence, HELD_BACK_CONFIDENCE)
-    )
+    trust = min(fusion.confidence, REFUSED_CONFIDENCE)
+    return replace(fusion, accepted=False, gate="alike", reason=reason, confidence=trust)
 
 
 def _is_settled(state: _PairState, snapshot: Snapshot) -> bool:

@@ -25,10 +25,10 @@ from mapfusion.pairwise.search import (
     DISTINCT_DEGREES,
     EVIDENCE_POINTS,
     FINE_POINTS,
+    GLANCE,
     REFINED_DEGREES,
     TIGHT_REACHES,
     Candidate,
-    Effort,
     Finding,
     distinct_cells,
     look_closely,
@@ -38,14 +38,7 @@ from mapfusion.pairwise.search import (
 from mapfusion.pairwise.surface import NOT_KNOWN
 from mapfusion.pairwise.voting import Matches, match, vote
 
-ON_ITSELF = Effort(
-    num_voted=60,
-    num_rotations=0,
-    num_starts=24,
-    num_candidates=12,
-    is_exhaustive=False,
-    num_scrutinised=0,
-)
+ON_ITSELF = replace(GLANCE, num_starts=24, num_candidates=12)
 """Keypoints alone: those of one map look like their repeats, noise or not."""
 MIN_REPEATED = 70.0
 """Net evidence from which on a map that is laid onto itself repeats itself."""
