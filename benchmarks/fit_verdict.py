@@ -50,7 +50,6 @@ from mapfusion.pairwise.verdict import (
     is_adrift,
     least_confidence,
     least_evidence,
-    leaves_rotation_open,
     too_little,
 )
 from mapfusion.pairwise.voting import match
@@ -97,7 +96,6 @@ class Judged:
         is_right: Of each candidate.
         is_near: Of each candidate.
         is_apart: (K, K) which candidates are distinctly different answers.
-        is_open: Whether the walls leave the rotation of the first open.
     """
 
     kind: str
@@ -106,7 +104,6 @@ class Judged:
     is_right: list[bool] = field(default_factory=list)
     is_near: list[bool] = field(default_factory=list)
     is_apart: npt.NDArray[np.bool_] | None = None
-    is_open: bool = False
 
 
 def read_pairs(folder: Path) -> Iterator[Pair]:
@@ -290,7 +287,7 @@ def judge(pair: Pair) -> Judged:
         judged.figures.append(one.figures)
         judged.is_right.append(is_right)
         judged.is_near.append(is_near)
-    return replace(judged, is_apart=apart, is_open=leaves_rotation_open(polished))
+    return replace(judged, is_apart=apart)
 
 
 def compare(pair: Pair, T: SE2) -> tuple[bool, bool]:
@@ -384,7 +381,6 @@ def report(all_judged: Sequence[Judged]) -> None:
     joined &= np.array([f["net"] for f in best]) >= least
     joined &= np.array([f["ratio"] for f in best]) >= MIN_RATIO
     joined &= np.array([not are_few_things(f) and not is_adrift(f) for f in best])
-    joined &= np.array([not one.is_open for one in all_judged])
     sliding = np.array([figures["conditioning"] < search.SLIDING_CONDITIONING for figures in best])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])

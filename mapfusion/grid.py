@@ -106,6 +106,13 @@ def crop_to_known(grid: OccupancyGrid, margin: int = 0) -> OccupancyGrid:
     return replace(grid, cells=grid.cells[top:bottom, left:right], T_frame_grid=grid.T_frame_grid @ corner)
 
 
+def quarter_turned(grid: OccupancyGrid, quarters: int) -> OccupancyGrid:
+    """The same cells in the same places of the frame, in rows and columns that are turned by quarters of a turn."""
+    x_m, y_m = grid.corners_m()[(0, 1, 3, 2)[quarters % 4]]
+    T_grid_turned = SE2(x_m, y_m, quarters * math.pi / 2)
+    return replace(grid, cells=np.rot90(grid.cells, quarters), T_frame_grid=grid.T_frame_grid @ T_grid_turned)
+
+
 def apply_update(grid: OccupancyGrid, col: int, row: int, patch: Cells, stamp_ns: int) -> OccupancyGrid:
     """The grid with `patch` (height, width) laid over it, its first cell at (row, col).
 

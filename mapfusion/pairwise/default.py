@@ -5,7 +5,8 @@ from __future__ import annotations
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
-from mapfusion.pairwise.poses import Poses, from_se2, to_se2
+from mapfusion.pairwise.close_calls import asked_again, is_close_call
+from mapfusion.pairwise.poses import Poses, between_corners, to_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.repeats import weighed_against_repeats
 from mapfusion.pairwise.search import (
@@ -44,13 +45,22 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
         is_thorough: Whether a thorough search follows where a quick one finds nothing to join by.
 
     Returns:
-        The verdict with its evidence. Exchanging the maps gives the inverse: the work is done in one order, by content.
+        The verdict with its evidence; of a close call that of a vote, see `close_calls`. Exchanging the maps gives the
+        inverse: the work is done in one order, by content.
     """
     if target.key > source.key:
         return fuse(source, target, config, is_thorough).swapped()
     refusal = verdict.too_little(target, source)
     if refusal is not None:
         return refusal
+    result = _fused(target, source, config, is_thorough)
+    if not is_close_call(result):
+        return result
+    return asked_again(result, target, source, lambda one, other: _fused(one, other, config, is_thorough))
+
+
+def _fused(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thorough: bool) -> PairFusion:
+    """The verdict on what is found between two maps with walls."""
     matches = match(target.features, source.features)
     found, result = _searched(target, source, config, matches, is_thorough)
     if not (result.accepted and verdict.may_repeat_itself(found)):
@@ -98,9 +108,7 @@ def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, confi
     refusal = verdict.too_little(target, source)
     if refusal is not None:
         return refusal
-    between_corners = target.grid.T_frame_grid.inverse() @ T_target_source @ source.grid.T_frame_grid
-    known = from_se2(between_corners, target.grid.resolution_m)
-    found = recheck(target, source, known)
+    found = recheck(target, source, between_corners(T_target_source, target.grid, source.grid))
     if verdict.may_turn_on_parts(found):
         found = with_firmness(found, target, source)
     return _judged(target, source, config, found)
@@ -114,5 +122,5 @@ def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, find
 
 
 def _to_metres(target: PreparedMap, source: PreparedMap, pose: Poses) -> SE2:
-    between_corners = to_se2(pose, target.grid.resolution_m)
-    return target.grid.T_frame_grid @ between_corners @ source.grid.T_frame_grid.inverse()
+    T_corners = to_se2(pose, target.grid.resolution_m)
+    return target.grid.T_frame_grid @ T_corners @ source.grid.T_frame_grid.inverse()

@@ -11,6 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.grid import OccupancyGrid
 from mapfusion.pairwise.surface import Points
 from mapfusion.transform import SE2
 
@@ -101,3 +102,9 @@ def to_se2(pose: Poses, resolution_m: float) -> SE2:
 def from_se2(T: SE2, resolution_m: float) -> Poses:
     """(3,) pose in cells of a motion between the two grids' corners."""
     return np.array([T.x_m / resolution_m, T.y_m / resolution_m, T.yaw_rad])
+
+
+def between_corners(T_target_source: SE2, target: OccupancyGrid, source: OccupancyGrid) -> Poses:
+    """(3,) pose of a motion between the frames of two grids of one resolution."""
+    T = target.T_frame_grid.inverse() @ T_target_source @ source.T_frame_grid
+    return from_se2(T, target.resolution_m)

@@ -46,6 +46,8 @@ MEETS_CELLS = 3.0
 """Walls this near a wall of their own map recur, and this near one of the other map agree."""
 NUM_ASKED = 2000
 """About so many of a map's walls are asked whether they recur, spread evenly."""
+REPEATS_FIGURES = ("recurring", "rest_cells", "rest_ratio", "like_fit")
+"""Figures by which a map is asked what repeats itself."""
 NUM_SHIFTED = 8
 """So many alignments that follow from another one are looked at."""
 

@@ -73,9 +73,6 @@ SLIGHT_CONTRADICTION, STRONG_RIVAL = 0.02, 0.5
 evidence, are asked whether they repeat themselves."""
 REFUSED_CONFIDENCE = 0.5
 """Most confidence that is left where a gate refuses: of two alignments that fit alike, at most one is right."""
-MAX_TURN_DEVIATION_DEG = {1.5: math.inf, 3.0: 0.9, 6.0: 0.45}
-"""Most standard deviation of the rotation by the tolerance, cells, within which walls agree: small maps of places that
-changed are joined two to five degrees off otherwise."""
 
 
 def too_little(target: PreparedMap, source: PreparedMap) -> PairFusion | None:
@@ -223,13 +220,6 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"side, {figures['crossing_cells']:.0f} cells of wall cross the other's free space in one run; "
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, {rivals}"
         )
-    if leaves_rotation_open(finding):
-        most_deg = _max_turn_deviation_deg(figures)
-        return "loose", (
-            f"walls that agree within {figures['tolerance_cells']:g} cells only leave the rotation open by "
-            f"{_turn_deviation_deg(finding):.2f} degrees (standard deviation, at most {most_deg}): maps this small may "
-            f"well be joined some degrees off; {agreement}"
-        )
     return "", ""
 
 
@@ -300,20 +290,6 @@ def repeats_itself(figures: Figures) -> bool:
 def is_adrift(figures: Figures) -> bool:
     """Whether too few parts of the maps stay where the pose puts them, as far as parts were looked at."""
     return "firmness" in figures and figures["firmness"] < _least_firmness(figures)
-
-
-def leaves_rotation_open(finding: Finding) -> bool:
-    """Whether walls that do not agree closely hold the rotation too loosely."""
-    return _turn_deviation_deg(finding) > _max_turn_deviation_deg(finding.best.figures)
-
-
-def _max_turn_deviation_deg(figures: Figures) -> float:
-    return MAX_TURN_DEVIATION_DEG[figures["tolerance_cells"]]
-
-
-def _turn_deviation_deg(finding: Finding) -> float:
-    """Standard deviation of the rotation, degrees."""
-    return math.degrees(math.sqrt(finding.covariance[2, 2]))
 
 
 def _least_firmness(figures: Figures) -> float:

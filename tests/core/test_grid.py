@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mapfusion.grid import OccupancyGrid, apply_update, crop_to_known, resample
+from mapfusion.grid import OccupancyGrid, apply_update, crop_to_known, quarter_turned, resample
 from mapfusion.transform import SE2
 from tests.fakes import flat, grid_of
 
@@ -102,3 +102,16 @@ def test_odd_ratios_cover_the_whole_grid() -> None:
     coarse = resample(grid_of(cells, 0.05), 0.12)
     assert coarse.cells.shape == (5, 5)
     assert coarse.cells[4, 4] == 100
+
+
+@pytest.mark.parametrize("quarters", range(5))
+def test_quarter_turns_keep_every_cell_where_it_is(quarters: int) -> None:
+    cells = np.array([[-1, 0, 100, 30], [100, 100, -1, 0]], np.int8)
+    grid = OccupancyGrid(cells, 0.5, SE2(3.0, -2.0, 0.7))
+    turned = quarter_turned(grid, quarters)
+    np.testing.assert_array_equal(turned.cells, np.rot90(cells, quarters))
+    for value in (-1, 0, 30, 100):
+        here, there = (one.centres_m(one.cells == value) for one in (grid, turned))
+        gaps = np.linalg.norm(here[:, None] - there, axis=-1)
+        assert here.shape == there.shape
+        assert gaps.min(axis=1).max() < 1e-9

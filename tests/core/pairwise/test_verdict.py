@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -288,22 +287,6 @@ def test_covariance_is_the_translation_s_at_the_frame_s_origin(place: PreparedMa
     # 100 m from the origin, an error of the yaw moves the origin's image by its lever.
     assert far.covariance[1, 1] > near.covariance[1, 1]
     assert far.covariance[2, 2] == pytest.approx(near.covariance[2, 2])
-
-
-@pytest.mark.parametrize(("tolerance_cells", "most_deg"), [(3.0, 0.9), (6.0, 0.45)])
-def test_walls_that_agree_loosely_must_hold_the_rotation(
-    place: PreparedMap, tolerance_cells: float, most_deg: float
-) -> None:
-    def turned_by(deviation_deg: float, tolerance_cells: float) -> Finding:
-        found = finding(tolerance_cells=tolerance_cells)
-        variance = 12.0 * found.best.figures["residual_cells"] ** 2
-        return replace(found, information=np.diag([1e3, 1e3, variance / math.radians(deviation_deg) ** 2]))
-
-    assert judged(place, turned_by(0.98 * most_deg, tolerance_cells)).accepted
-    loose = judged(place, turned_by(1.02 * most_deg, tolerance_cells))
-    assert (loose.accepted, loose.gate) == (False, "loose")
-    assert f"leave the rotation open by {math.degrees(math.sqrt(_variance(loose))):.2f} degrees" in loose.reason
-    assert judged(place, turned_by(1.02 * most_deg, 1.5)).accepted
 
 
 def test_a_rival_that_explains_as_much_makes_a_pair_ambiguous(place: PreparedMap) -> None:

@@ -1,0 +1,139 @@
+"""Close calls are asked again, of the same maps in turned rows and columns.
+
+A map's cells cut its walls at random, and a search and the limits of a verdict make much of little. Quarter turns
+change no cell, but what is made of them: of several verdicts on one pair those decide that agree.
+Source: Breiman, Bagging predictors, Machine Learning 1996: a vote steadies a decision that jumps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mapfusion.grid import quarter_turned
+from mapfusion.pairwise.poses import Poses, between_corners, differ
+from mapfusion.pairwise.prepared import PreparedMap, prepare
+from mapfusion.pairwise.repeats import REPEATS_FIGURES
+from mapfusion.pairwise.search import DISTINCT_DEGREES, distinct_cells
+from mapfusion.pairwise.verdict import MOST_RECURRING, REFUSED_CONFIDENCE
+from mapfusion.result import PairFusion
+
+NUM_VERDICTS = 4
+"""One for each quarter turn."""
+MIN_AGREEING, MIN_AGREEING_IN_DOUBT = 2, 3
+"""So many must accept the same; the second where one of them found a rival, that most walls recur, or that the rotation
+is left open: a wrong alignment is accepted nearly as steadily as a right one there."""
+CLOSE_GATES = ("ambiguous", "chance", "confidence", "parts", "repeats")
+"""Gates whose figures change as maps are turned."""
+SURE_ALONE, LEAST_HOPE = 0.99, 0.5
+"""Joins with less confidence than the first, and refusals with at least the second, are close calls."""
+MAX_TURN_DEVIATION_DEG = {1.5: math.inf, 3.0: 0.9, 6.0: 0.45}
+"""Standard deviation of the rotation from which on it is left open, by the tolerance, cells, within which walls agree:
+small maps of places that changed may be joined two to five degrees off."""
+SAME_DEGREES = 1.0
+"""Where the rotation is left open, alignments further apart are not the same."""
+
+
+def is_close_call(verdict: PairFusion) -> bool:
+    """Whether a verdict might as well have been the other one."""
+    if verdict.accepted:
+        return verdict.confidence < SURE_ALONE or _repeats_itself(verdict) or _leaves_rotation_open(verdict)
+    return verdict.confidence >= LEAST_HOPE and verdict.gate in CLOSE_GATES
+
+
+def asked_again(
+    first: PairFusion,
+    target: PreparedMap,
+    source: PreparedMap,
+    fuse: Callable[[PreparedMap, PreparedMap], PairFusion],
+) -> PairFusion:
+    """The verdict of the vote on two maps: the surest of those that agree, or a refusal that says why.
+
+    Its evidence names how many `verdicts` there were and how many were `agreeing`, and what any of them found of
+    repeats.
+
+    Args:
+        first: The verdict on the maps as they are.
+        target: Map into whose frame the source is to be brought.
+        source: The other map.
+        fuse: Gives the verdict on two maps.
+    """
+    verdicts = [first]
+    chosen, agreeing = _vote(verdicts, target, source)
+    while agreeing < _least_agreeing(verdicts) <= agreeing + NUM_VERDICTS - len(verdicts):
+        verdicts.append(fuse(*(_turned(one, len(verdicts)) for one in (target, source))))
+        chosen, agreeing = _vote(verdicts, target, source)
+    if agreeing < _least_agreeing(verdicts):
+        chosen = _refused(verdicts, agreeing, target, source)
+    counts = {"verdicts": float(len(verdicts)), "agreeing": float(agreeing)}
+    return replace(chosen, evidence={**chosen.evidence, **_most_repeating(verdicts), **counts})
+
+
+def _turned(one: PreparedMap, quarters: int) -> PreparedMap:
+    return prepare(quarter_turned(one.grid, quarters), one.grid.resolution_m)
+
+
+def _vote(verdicts: Sequence[PairFusion], target: PreparedMap, source: PreparedMap) -> tuple[PairFusion, int]:
+    """The surest of the accepting verdicts with which most of them agree, and how many these are; else the first."""
+    accepting = [one for one in verdicts if one.accepted]
+    if not accepting:
+        return verdicts[0], 0
+    poses = np.array([_pose(one, target, source) for one in accepting])
+    degrees = SAME_DEGREES if any(map(_leaves_rotation_open, verdicts)) else DISTINCT_DEGREES
+    apart = differ(poses, poses, source.centre, distinct_cells(target, source), degrees)
+    agreeing = np.count_nonzero(~apart, axis=1)
+    most = int(agreeing.max())
+    chosen = [one for one, number in zip(accepting, agreeing, strict=True) if number == most]
+    return max(chosen, key=lambda one: one.confidence), most
+
+
+def _pose(verdict: PairFusion, target: PreparedMap, source: PreparedMap) -> Poses:
+    assert verdict.T_target_source is not None
+    return between_corners(verdict.T_target_source, target.grid, source.grid)
+
+
+def _least_agreeing(verdicts: Sequence[PairFusion]) -> int:
+    is_doubted = any(one.gate == "ambiguous" or _repeats_itself(one) or _leaves_rotation_open(one) for one in verdicts)
+    return MIN_AGREEING_IN_DOUBT if is_doubted else MIN_AGREEING
+
+
+def _repeats_itself(verdict: PairFusion) -> bool:
+    return verdict.evidence.get("recurring", 0.0) > MOST_RECURRING
+
+
+def _most_repeating(verdicts: Sequence[PairFusion]) -> Mapping[str, float]:
+    """What was found of repeats by the one that found most of them."""
+    most = max(verdicts, key=lambda one: one.evidence.get("recurring", -1.0))
+    return {name: most.evidence[name] for name in REPEATS_FIGURES if name in most.evidence}
+
+
+def _leaves_rotation_open(verdict: PairFusion) -> bool:
+    """Whether a verdict accepts what walls that do not agree closely hold too loosely."""
+    if not verdict.accepted or verdict.covariance is None:
+        return False
+    deviation_deg = math.degrees(math.sqrt(verdict.covariance[2, 2]))
+    return deviation_deg > MAX_TURN_DEVIATION_DEG[verdict.evidence["tolerance_cells"]]
+
+
+def _refused(verdicts: Sequence[PairFusion], agreeing: int, target: PreparedMap, source: PreparedMap) -> PairFusion:
+    """The first verdict, refused for what the others say."""
+    first, *others = verdicts
+    if not first.accepted:
+        return first
+    refusal = next((one for one in others if not one.accepted), None)
+    reason = (
+        f"accepted as the maps are, but of {len(verdicts)} verdicts on these and on the same maps turned by quarters "
+        f"only {agreeing} accept the same, and {_least_agreeing(verdicts)} must; turned: "
+    )
+    if refusal is not None:
+        gate, reason, rival = refusal.gate, reason + refusal.reason, refusal.rival
+    else:
+        poses = np.array([_pose(one, target, source) for one in verdicts])
+        (apart,) = differ(poses[:1], poses, source.centre, distinct_cells(target, source), SAME_DEGREES)
+        gate, reason = "ambiguous", reason + "a different alignment is accepted"
+        rival = verdicts[int(apart.argmax())].T_target_source
+    confidence = min(first.confidence, REFUSED_CONFIDENCE)
+    return replace(first, accepted=False, gate=gate, reason=reason, confidence=confidence, rival=rival)
