@@ -8,7 +8,8 @@ one place without (whatever is claimed there is wrong), and of different places;
 it; and pairs of both generators of `mapfusion evaluate`. Nearly half of all these are noisy, and the folders' pairs of
 real and hand-held maps come once more with noise. Buildings are held out whole, in turn, when the models are judged.
 Views of places with a second wing like the first are judged too, but nothing is fitted on them. The margin takes which
-rivals are sure enough alone from the confidence as it stands: after a large change fit twice.
+rivals are sure enough alone from the confidence as it stands: after a large change fit twice. Joined is what one
+verdict joins: close calls are not asked again here.
 """
 
 from __future__ import annotations
