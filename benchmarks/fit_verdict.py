@@ -42,7 +42,7 @@ from mapfusion.pairwise.confidence import (
     plausibility_terms,
 )
 from mapfusion.pairwise.default import prepare
-from mapfusion.pairwise.poses import Poses, differ, to_se2
+from mapfusion.pairwise.poses import Poses, between_frames, differ
 from mapfusion.pairwise.verdict import (
     MIN_MARGIN,
     MIN_RATIO,
@@ -283,7 +283,7 @@ def judge(pair: Pair) -> Judged:
     cells = search.distinct_cells(target, source)
     apart = differ(poses, poses, source.centre, cells, search.DISTINCT_DEGREES)
     for one in candidates:
-        T = target.grid.T_frame_grid @ to_se2(one.pose, RESOLUTION_M) @ source.grid.T_frame_grid.inverse()
+        T = between_frames(one.pose, target.grid, source.grid)
         is_right, is_near = compare(pair, T.inverse() if is_swapped else T)
         judged.figures.append(one.figures)
         judged.is_right.append(is_right)

@@ -6,7 +6,7 @@ from mapfusion.config import FusionConfig
 from mapfusion.pairwise import verdict
 from mapfusion.pairwise.agreement import agreement
 from mapfusion.pairwise.close_calls import asked_again, is_close_call
-from mapfusion.pairwise.poses import Poses, between_corners, to_se2
+from mapfusion.pairwise.poses import between_corners, between_frames
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.repeats import weighed_against_repeats
 from mapfusion.pairwise.search import (
@@ -115,12 +115,7 @@ def verify(target: PreparedMap, source: PreparedMap, T_target_source: SE2, confi
 
 
 def _judged(target: PreparedMap, source: PreparedMap, config: FusionConfig, finding: Finding) -> PairFusion:
-    T_target_source = _to_metres(target, source, finding.best.pose)
+    T_target_source = between_frames(finding.best.pose, target.grid, source.grid)
     cells = agreement(target.grid, source.grid, T_target_source)
-    rival = None if finding.rival is None else _to_metres(target, source, finding.rival.pose)
+    rival = None if finding.rival is None else between_frames(finding.rival.pose, target.grid, source.grid)
     return verdict.judge(target, source, config, finding, T_target_source, rival, cells)
-
-
-def _to_metres(target: PreparedMap, source: PreparedMap, pose: Poses) -> SE2:
-    T_corners = to_se2(pose, target.grid.resolution_m)
-    return target.grid.T_frame_grid @ T_corners @ source.grid.T_frame_grid.inverse()

@@ -108,3 +108,8 @@ def between_corners(T_target_source: SE2, target: OccupancyGrid, source: Occupan
     """(3,) pose of a motion between the frames of two grids of one resolution."""
     T = target.T_frame_grid.inverse() @ T_target_source @ source.T_frame_grid
     return from_se2(T, target.resolution_m)
+
+
+def between_frames(pose: Poses, target: OccupancyGrid, source: OccupancyGrid) -> SE2:
+    """T_target_source of a pose (3,), the inverse of `between_corners`."""
+    return target.T_frame_grid @ to_se2(pose, target.resolution_m) @ source.T_frame_grid.inverse()

@@ -6,7 +6,19 @@ import math
 
 import numpy as np
 
-from mapfusion.pairwise.poses import after, differ, distinct, from_se2, inverse, moved, pose_from_centre, to_se2
+from mapfusion.grid import OccupancyGrid
+from mapfusion.pairwise.poses import (
+    after,
+    between_corners,
+    between_frames,
+    differ,
+    distinct,
+    from_se2,
+    inverse,
+    moved,
+    pose_from_centre,
+    to_se2,
+)
 from mapfusion.transform import SE2
 
 POSES = np.array([[3.0, -2.0, 0.7], [10.0, 4.0, -3.0]])
@@ -58,3 +70,16 @@ def test_poses_differ_by_distance_at_the_centre_or_by_rotation() -> None:
     assert distinct(others, centre, 10.0, 5.0, 5) == [0, 2, 4]
     assert distinct(others, centre, 10.0, 5.0, 2) == [0, 2]
     assert math.isclose(turned[2, 2], math.radians(358.0))
+
+
+def test_a_pose_between_corners_and_the_motion_between_frames_are_the_same() -> None:
+    target, source = (
+        OccupancyGrid(np.zeros((4, 6), np.int8), 0.5, SE2(x_m, -2.0, yaw_rad))
+        for x_m, yaw_rad in ((3.0, 0.7), (-1.0, -2.0))
+    )
+    pose = np.array([12.0, -7.0, 0.4])
+    T = between_frames(pose, target, source)
+    np.testing.assert_allclose(between_corners(T, target, source), pose, atol=1e-9)
+    # The source's corner lies at (12, -7) cells of the target.
+    corner = target.T_frame_grid.apply(np.array([[6.0, -3.5]]))
+    np.testing.assert_allclose(T.apply(np.array([[-1.0, -2.0]])), corner, atol=1e-9)
