@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.compiled import compiled
 from mapfusion.transform import SE2, FloatArray
 
 Cells = npt.NDArray[np.int8]
@@ -145,10 +146,25 @@ def resample(grid: OccupancyGrid, resolution_m: float) -> OccupancyGrid:
         rows = np.minimum(((np.arange(height) + 0.5) * ratio).astype(np.intp), grid.height - 1)
         cols = np.minimum(((np.arange(width) + 0.5) * ratio).astype(np.intp), grid.width - 1)
         return replace(grid, cells=grid.cells[np.ix_(rows, cols)], resolution_m=resolution_m)
-    row_starts = _bin_starts(grid.height, height, ratio)
-    col_starts = _bin_starts(grid.width, width, ratio)
-    pooled = np.maximum.reduceat(np.maximum.reduceat(grid.cells, row_starts, axis=0), col_starts, axis=1)
-    return replace(grid, cells=pooled, resolution_m=resolution_m)
+    row_starts, col_starts = _bin_starts(grid.height, height, ratio), _bin_starts(grid.width, width, ratio)
+    return replace(grid, cells=_pooled(grid.cells, row_starts, col_starts), resolution_m=resolution_m)
+
+
+@compiled
+def _pooled(cells: Cells, row_starts: npt.NDArray[np.intp], col_starts: npt.NDArray[np.intp]) -> Cells:
+    """The highest value of each block of cells, whose first rows and columns are given; every block has a cell."""
+    height, width = cells.shape
+    pooled = np.empty((len(row_starts), len(col_starts)), cells.dtype)
+    for i in range(len(row_starts)):
+        last_row = row_starts[i + 1] if i + 1 < len(row_starts) else height
+        for j in range(len(col_starts)):
+            last_col = col_starts[j + 1] if j + 1 < len(col_starts) else width
+            highest = cells[row_starts[i], col_starts[j]]
+            for row in range(row_starts[i], max(last_row, row_starts[i] + 1)):
+                for col in range(col_starts[j], max(last_col, col_starts[j] + 1)):
+                    highest = max(highest, cells[row, col])
+            pooled[i, j] = highest
+    return pooled
 
 
 def _bin_starts(num_old: int, num_new: int, ratio: float) -> npt.NDArray[np.intp]:

@@ -18,9 +18,20 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.compiled import compiled
 from mapfusion.pairwise.poses import Poses, pose_from_centre
 from mapfusion.pairwise.poses import rotations as matrices
-from mapfusion.pairwise.surface import FIELD_MARGIN, NOT_KNOWN, Floats, Indices, Points, Surface, SurfaceField
+from mapfusion.pairwise.surface import (
+    DIRECTION_BINS,
+    FIELD_MARGIN,
+    NOT_KNOWN,
+    Bytes,
+    Floats,
+    Indices,
+    Points,
+    Surface,
+    SurfaceField,
+)
 
 Places = npt.NDArray[np.floating]
 
@@ -60,11 +71,8 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, rotatio
     there, here = target.surface.thinned(NUM_POINTS), source.surface.thinned(NUM_POINTS)
     about = centre.astype(np.float32)
     arms, deep_arms = here.points - about, _deep(source) - about
-    low, high = there.points.min(axis=0), there.points.max(axis=0)
-    arms_low, arms_high = arms.min(axis=0), arms.max(axis=0)
-    deep = _deep(target)
-    deep = deep[((deep >= low) & (deep <= high)).all(axis=1)]
-    deep_arms = deep_arms[((deep_arms >= arms_low) & (deep_arms <= arms_high)).all(axis=1)]
+    (low, high), (arms_low, arms_high) = _bounds(there.points), _bounds(arms)
+    deep, deep_arms = _within(_deep(target), low, high), _within(deep_arms, arms_low, arms_high)
 
     R = matrices(np.stack([np.zeros_like(rotations), np.zeros_like(rotations), rotations], -1))
     box = np.array([[x, y] for x in (arms_low[0], arms_high[0]) for y in (arms_low[1], arms_high[1])], np.float32)
@@ -74,29 +82,51 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, rotatio
     edges = both.max(axis=0) + MIN_UNWRAPPED * both.min(axis=0)
     stride = np.float32(max(MIN_STRIDE, math.ceil(edges.max() / (MAX_SIZE - 2))))
     width, height = (_fast_size(math.ceil(edge / stride) + 2) for edge in edges)
-    shape = height, width
 
-    at, deep_at = (_cells((each - low).T / stride, shape) for each in (there.points, deep))
-    normals, walls = _images(at, there.normals.T, deep_at, shape)
-    normals = cv2.GaussianBlur(normals, (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT)
+    as_it_is, no_turn = np.eye(2, dtype=np.float32), np.zeros(2, np.float32)
+    images = np.empty((2, height, width, 2), np.float32)
+    _draw(images, there.points - low, there.normals, deep - low, as_it_is, no_turn, float(stride))
+    normals, walls = cv2.GaussianBlur(images[0], (0, 0), 0.8, borderType=cv2.BORDER_CONSTANT), images[1]
     # A wall that agrees brings as much as there is of the other map's walls in its coarse cell.
     of_cell = CONTRADICTION_WEIGHT * (MIN_STRIDE / stride) ** 2
     walls *= of_cell * np.array([_density((arms - arms_low) / stride), _density((there.points - low) / stride)])
     # A wall of one map counts where it meets what is deep in the other.
-    of_target = [np.conj(_spectrum(image)) for image in (normals, np.ascontiguousarray(walls[..., ::-1]))]
+    of_target = [
+        np.conj(_spectrum(np.asarray(image, np.float32))) for image in (normals, np.ascontiguousarray(walls[..., ::-1]))
+    ]
     peaks: list[tuple[int, int]] = []
-    # Products with transposes as they are would take several times as long.
-    columns, deep_columns, facing = (np.ascontiguousarray(each.T) for each in (arms, deep_arms, here.normals))
-    for turn, start in zip(R, starts[..., None], strict=True):
-        at, deep_at = (_cells((turn @ each - start) / stride, shape) for each in (columns, deep_columns))
-        images = _images(at, turn @ facing, deep_at, shape)
+    for turn, start in zip(R, starts, strict=True):
+        _draw(images, arms, here.normals, deep_arms, turn, start, float(stride))
         agreeing, contradicting = (_correlation(*both) for both in zip(of_target, images, strict=True))
-        for score in (agreeing, agreeing - contradicting):
+        left = np.subtract(agreeing, contradicting, out=contradicting)
+        for score in (agreeing, left):
             peaks += _peaks(score)
     of_rotation = np.arange(len(rotations)).repeat(len(peaks) // len(rotations))
     of_peak, shift = _unwrapped(np.array(peaks), (high - low) / stride, extents[of_rotation] / stride, (width, height))
     of_rotation = of_rotation[of_peak]
     return pose_from_centre(rotations[of_rotation], shift * stride - starts[of_rotation] + low, centre)
+
+
+@compiled
+def _bounds(points: Points) -> tuple[Floats, Floats]:
+    """(2,) the least and the greatest x and y of some points (N, 2), at least one."""
+    low, high = points[0].copy(), points[0].copy()
+    for i in range(len(points)):
+        for axis in range(2):
+            low[axis], high[axis] = min(low[axis], points[i, axis]), max(high[axis], points[i, axis])
+    return low, high
+
+
+@compiled
+def _within(points: Points, low: Floats, high: Floats) -> Points:
+    """Those of the points (N, 2) that lie within bounds."""
+    inside, number = np.empty_like(points), 0
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+            inside[number] = points[i]
+            number += 1
+    return inside[:number].copy()
 
 
 def _unwrapped(
@@ -152,7 +182,7 @@ def _directions(surface: Surface) -> npt.NDArray[np.float64]:
 
     By the root a few long walls, which the other map need not share, outweigh the others less.
     """
-    counts = _per_degree(np.arctan2(surface.normals[:, 1], surface.normals[:, 0]))
+    counts = _per_degree(surface.facing * (2.0 * np.pi / DIRECTION_BINS))
     roots = np.sqrt(np.maximum(_blurred(counts, DIRECTION_SIGMA_DEGREES), 0.0))
     centred: npt.NDArray[np.float64] = roots - roots.mean()
     return centred
@@ -173,32 +203,56 @@ def _blurred(per_degree: npt.NDArray[np.float64], sigma_degrees: float) -> npt.N
 
 def _deep(field: SurfaceField) -> Points:
     """(N, 2) cells of a raster in which a wall would contradict the map; MIN_STRIDE from one to the next."""
-    raster = np.s_[FIELD_MARGIN + MIN_STRIDE // 2 : -FIELD_MARGIN : MIN_STRIDE]
-    depth, distance = field.depth[raster, raster], field.distance[raster, raster]
-    rows, cols = np.nonzero((depth > DEEP_CELLS) & (depth != NOT_KNOWN) & (distance > DEEP_CELLS))
-    return np.stack([cols, rows], axis=-1).astype(np.float32) * MIN_STRIDE + np.float32(MIN_STRIDE // 2 + 0.5)
+    return _deep_of(field.depth, field.distance, FIELD_MARGIN, NOT_KNOWN)
 
 
-def _cells(at: Floats, shape: tuple[int, int]) -> Indices:
-    """(N,) flat index of the cell of an image in which each point (2, N) lies."""
-    x, y = at.astype(np.int32)
-    flat: Indices = y * shape[1] + x
-    return flat
+@compiled
+def _deep_of(depth: Bytes, distance: Bytes, margin: int, not_known: int) -> Points:
+    height, width = depth.shape
+    points, number = np.empty((depth.size // MIN_STRIDE**2 + height + width, 2), np.float32), 0
+    for row in range(margin + MIN_STRIDE // 2, height - margin, MIN_STRIDE):
+        for column in range(margin + MIN_STRIDE // 2, width - margin, MIN_STRIDE):
+            deep = depth[row, column]
+            if deep > DEEP_CELLS and deep != not_known and distance[row, column] > DEEP_CELLS:
+                points[number, 0], points[number, 1] = column - margin + 0.5, row - margin + 0.5
+                number += 1
+    return points[:number].copy()
 
 
-def _images(cells: Indices, normals: Floats, deep_cells: Indices, shape: tuple[int, int]) -> Floats:
-    """Two images (2, H, W, 2): sums of the rim's normals in x and y, and of its points and of deep cells.
+@compiled
+def _draw(
+    images: Floats, points: Points, normals: Points, deep: Points, turn: Floats, start: Floats, stride: float
+) -> None:
+    """Two images (2, H, W, 2): sums of a rim's normals in x and y, and of its points and of deep cells.
 
     Args:
-        cells: (N,) flat index of the cell of each point.
-        normals: (2, N) of the points.
-        deep_cells: (M,) flat index of the cell of each place that is deep in free space.
-        shape: Of the images.
+        images: What is drawn to, whatever was there before.
+        points: (N, 2) of the rim, cells.
+        normals: (N, 2) of the points.
+        deep: (M, 2) places that are deep in free space, cells.
+        turn: (2, 2) rotation by which all are turned.
+        start: (2,) the images' corner, after that, cells.
+        stride: Edge of the images' cells, cells.
     """
-    num_cells = shape[0] * shape[1]
-    places = np.concatenate([2 * cells, 2 * cells + 1, 2 * (cells + num_cells), 2 * (deep_cells + num_cells) + 1])
-    values = np.concatenate([*normals, np.ones(len(cells) + len(deep_cells), np.float32)])
-    return np.bincount(places, values, 4 * num_cells).astype(np.float32).reshape(2, *shape, 2)
+    height, width = images.shape[1:3]
+    images[:] = 0.0
+    c, s = turn[0, 0], turn[1, 0]
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        row, column = _row_and_column(c * x - s * y - start[0], s * x + c * y - start[1], stride, height, width)
+        images[0, row, column, 0] += c * normals[i, 0] - s * normals[i, 1]
+        images[0, row, column, 1] += s * normals[i, 0] + c * normals[i, 1]
+        images[1, row, column, 0] += 1.0
+    for i in range(len(deep)):
+        x, y = deep[i, 0], deep[i, 1]
+        row, column = _row_and_column(c * x - s * y - start[0], s * x + c * y - start[1], stride, height, width)
+        images[1, row, column, 1] += 1.0
+
+
+@compiled
+def _row_and_column(x: float, y: float, stride: float, height: int, width: int) -> tuple[int, int]:
+    """Of an image's cell that has a point in it, which lies within the image but for what rounding does."""
+    return min(max(int(y / stride), 0), height - 1), min(max(int(x / stride), 0), width - 1)
 
 
 def _density(at: Places) -> np.float32:
@@ -223,17 +277,25 @@ def _correlation(conjugate: npt.NDArray[np.complex64], image: Floats) -> Floats:
     The real part of the correlation of complex numbers adds those of their real and of their imaginary parts, and the
     transform of a conjugate is the conjugate of the inverse transform.
     """
-    product = conjugate * _spectrum(image)
+    product = _spectrum(image)
+    product *= conjugate
     return np.asarray(cv2.extractChannel(cv2.dft(product.view(np.float32).reshape(image.shape)), 0), np.float32)
 
 
 def _peaks(score: Floats) -> list[tuple[int, int]]:
     """Column and row of the highest values, none within PEAK_RADIUS of a higher one; the score wraps around."""
-    height, width = score.shape
-    around = np.arange(-PEAK_RADIUS, PEAK_RADIUS + 1)
     found = []
     for _ in range(PEAKS_PER_ROTATION):
         _, _, _, (x, y) = cv2.minMaxLoc(score)
         found.append((x, y))
-        score[((y + around) % height)[:, None], (x + around) % width] = -np.inf
+        _suppress(score, x, y)
     return found
+
+
+@compiled
+def _suppress(score: Floats, x: int, y: int) -> None:
+    """Makes the score as low as can be within PEAK_RADIUS of a column and row."""
+    height, width = score.shape
+    for row in range(y - PEAK_RADIUS, y + PEAK_RADIUS + 1):
+        for column in range(x - PEAK_RADIUS, x + PEAK_RADIUS + 1):
+            score[row % height, column % width] = -np.inf

@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.pairwise.poses import Poses, inverse, moved
+from mapfusion.compiled import compiled
+from mapfusion.pairwise.poses import Poses, inverse
 from mapfusion.pairwise.prepared import PreparedMap
-from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, UNKNOWN, meetings
-from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Floats
+from mapfusion.pairwise.refine import cells_below
+from mapfusion.pairwise.sketch import UNKNOWN, lying_well
+from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Points
 
 NUM_HALVINGS = 4
 """A map's walls are halved so often: 16 parts."""
@@ -50,25 +52,25 @@ def _one_way(there: PreparedMap, here: PreparedMap, pose: Poses) -> tuple[float,
     assert there.field is not None
     assert here.field is not None
     surface = here.field.surface
-    cells = there.field.cells_below(moved(pose[None], surface.points))[0]
+    cells = cells_below(there.field, surface.points, pose[None])[0]
     known = np.flatnonzero(there.field.depth.ravel().take(cells) != NOT_KNOWN)
     number = min(len(known), MAX_POINTS)
-    parts = _parts(surface.points, known[np.arange(number) * len(known) // max(number, 1)])
-    if not parts:
+    chosen, sizes = _parts(surface.points, known[np.arange(number) * len(known) // max(number, 1)])
+    if not len(sizes):
         return 0.0, len(known)
-    chosen = np.concatenate(parts)
     codes = _with_unknown_around(there.sketch)
     width = codes.shape[1]
     rows, columns = np.divmod(cells.take(chosen), there.sketch.shape[1])
-    at = (rows + MAX_SHIFT_CELLS) * width + columns + MAX_SHIFT_CELLS
-    lattice = at + (_SHIFTS[:, 1] * width + _SHIFTS[:, 0])[:, None]
-    met = meetings(codes.ravel().take(lattice), surface.at(chosen).facing(), pose[2:])
-    sizes = np.array([len(part) for part in parts])
-    summed = np.add.reduceat(met, np.cumsum(sizes) - sizes, axis=1)
-    lies_well = summed % CONTRADICTS // AGREES - summed // CONTRADICTS
+    lies_well = lying_well(
+        codes,
+        (rows + MAX_SHIFT_CELLS) * width + columns + MAX_SHIFT_CELLS,
+        _SHIFTS[:, 1] * width + _SHIFTS[:, 0],
+        surface.facing.take(chosen),
+        pose[2],
+        sizes,
+    )
     lead = lies_well[_LENGTH <= STAYS_CELLS].max(axis=0) - lies_well[_LENGTH >= ELSEWHERE_CELLS].max(axis=0)
-    stays = lead > MIN_LEAD * sizes
-    return float(sizes[stays].sum() * len(known) / number), len(known)
+    return float(sizes[lead > MIN_LEAD * sizes].sum() * len(known) / number), len(known)
 
 
 def _with_unknown_around(codes: Bytes) -> Bytes:
@@ -76,19 +78,28 @@ def _with_unknown_around(codes: Bytes) -> Bytes:
     return np.asarray(cv2.copyMakeBorder(codes, m, m, m, m, cv2.BORDER_CONSTANT, value=UNKNOWN), np.uint8)
 
 
-def _parts(points: Floats, chosen: npt.NDArray[np.intp]) -> list[npt.NDArray[np.intp]]:
-    """The chosen (N,) of some points (M, 2), halved across their longer side again and again."""
-    parts = [chosen] if len(chosen) >= MIN_PART_POINTS else []
+@compiled
+def _parts(points: Points, chosen: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int64]]:
+    """The chosen (N,) of some points (M, 2), part by part, and how many belong to each part (P,).
+
+    Parts are halved across their longer side again and again. Fewer than MIN_PART_POINTS are none.
+    """
+    ordered, ends = chosen.copy(), np.array([0, len(chosen)])
+    if len(chosen) < MIN_PART_POINTS:
+        return ordered[:0], ends[:0]
     for _ in range(NUM_HALVINGS):
-        if not parts or min(map(len, parts)) < 2 * MIN_PART_POINTS:
+        sizes = ends[1:] - ends[:-1]
+        if sizes.min() < 2 * MIN_PART_POINTS:
             break
-        parts = [half for part in parts for half in _halves(points, part)]
-    return parts
-
-
-def _halves(points: Floats, part: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    along = points.take(part, axis=0)
-    axis = int(np.ptp(along, axis=0).argmax())
-    order = part[np.argsort(along[:, axis], kind="stable")]
-    middle = len(order) // 2
-    return order[:middle], order[middle:]
+        halves = np.empty(2 * len(sizes) + 1, np.int64)
+        halves[::2] = ends
+        for k in range(len(sizes)):
+            part = ordered[ends[k] : ends[k + 1]]
+            x, y = np.empty(len(part)), np.empty(len(part))
+            for i in range(len(part)):
+                x[i], y[i] = points[part[i], 0], points[part[i], 1]
+            along = x if x.max() - x.min() >= y.max() - y.min() else y
+            part[:] = part[np.argsort(along, kind="mergesort")]
+            halves[2 * k + 1] = ends[k] + len(part) // 2
+        ends = halves
+    return ordered, ends[1:] - ends[:-1]

@@ -7,15 +7,17 @@ counted as in `evidence`, against what chance would bring together; the second b
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.compiled import compiled
 from mapfusion.pairwise.features import Features
-from mapfusion.pairwise.poses import Poses, inverse, moved
+from mapfusion.pairwise.poses import Poses, inverse
 from mapfusion.pairwise.prepared import PreparedMap
-from mapfusion.pairwise.surface import NOT_KNOWN
+from mapfusion.pairwise.refine import cells_below
+from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Floats, Indices, Points
 from mapfusion.pairwise.voting import Matches
 
 REPEATED_CELLS = {1.5: 2, 3.0: 4, 6.0: 8}
@@ -27,8 +29,7 @@ MAX_TURN_RAD = 0.5
 """Most by which the directions of matched keypoints may differ from the pose's."""
 
 
-@dataclass(frozen=True, slots=True)
-class KeypointAgreement:
+class KeypointAgreement(NamedTuple):
     """What keypoints say of a pose.
 
     Attributes:
@@ -56,13 +57,12 @@ def keypoint_agreement(
     off = squared_offsets(target.features, source.features, matches, pose)
     return KeypointAgreement(
         keypoints=math.log(odds) - math.log((chance + 0.02) / (1.02 - chance)),
-        inliers_near=_inliers(matches, off <= NEAR_INLIER_CELLS**2),
-        inliers_wide=_inliers(matches, off <= WIDE_INLIER_CELLS**2),
+        inliers_near=_inliers(target.features, source.features, matches, off, NEAR_INLIER_CELLS),
+        inliers_wide=_inliers(target.features, source.features, matches, off, WIDE_INLIER_CELLS),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Repeated:
+class _Repeated(NamedTuple):
     """One direction: keypoints in the area known in both, how many lie beside one of the other map, share by chance."""
 
     number: int
@@ -73,21 +73,64 @@ class _Repeated:
 def _repeated(there: PreparedMap, here: PreparedMap, pose: Poses, radius_cells: int) -> _Repeated:
     assert there.field is not None
     depth, near = there.field.depth.ravel(), there.near_keypoints(radius_cells).ravel()
-    found = []
-    for points in (here.features.points, here.area):
-        cells = there.field.cells_below(moved(pose[None], points))[0]
-        found.append(near.take(cells[depth.take(cells) != NOT_KNOWN]))
-    keypoints, area = found
-    return _Repeated(len(keypoints), int(np.count_nonzero(keypoints)), float(area.mean()) if len(area) else 1.0)
+    number, repeated = _counted(depth, NOT_KNOWN, near, cells_below(there.field, here.features.points, pose[None]))
+    num_area, near_by_chance = _counted(depth, NOT_KNOWN, near, cells_below(there.field, here.area, pose[None]))
+    return _Repeated(number, repeated, near_by_chance / num_area if num_area else 1.0)
 
 
-def squared_offsets(target: Features, source: Features, matches: Matches, pose: Poses) -> npt.NDArray[np.float32]:
+@compiled
+def _counted(depth: Bytes, not_known: int, near: Bytes, cells: Indices) -> tuple[int, int]:
+    """How many of some cells (1, N) are known, and how many of these are near; both tell of all of a map's cells."""
+    num_known, num_near = 0, 0
+    for cell in cells[0]:
+        if depth[cell] != not_known:
+            num_known += 1
+            num_near += near[cell]
+    return num_known, num_near
+
+
+def squared_offsets(target: Features, source: Features, matches: Matches, pose: Poses) -> Floats:
     """(M,) squared cells by which `pose` (3,) misses each match; infinite where their directions differ too much."""
-    gap = moved(pose[None], source.points[matches.source])[0].T - target.points[matches.target]
-    turn = target.angles_rad[matches.target] - source.angles_rad[matches.source] - pose[2]
-    is_like = np.abs(np.remainder(turn + math.pi, 2.0 * math.pi) - math.pi) < MAX_TURN_RAD
-    return np.where(is_like, np.square(gap).sum(axis=-1), np.float32(np.inf))
+    return _squared_offsets(
+        target.points, target.angles_rad, source.points, source.angles_rad, matches.target, matches.source, pose
+    )
 
 
-def _inliers(matches: Matches, is_explained: npt.NDArray[np.bool_]) -> int:
-    return len(np.unique(matches.target[is_explained])) + len(np.unique(matches.source[is_explained]))
+@compiled
+def _squared_offsets(
+    target: Points,
+    target_angles: Floats,
+    source: Points,
+    source_angles: Floats,
+    of_target: npt.NDArray[np.intp],
+    of_source: npt.NDArray[np.intp],
+    pose: Poses,
+) -> Floats:
+    x, y, theta = pose
+    c, s = math.cos(theta), math.sin(theta)
+    off = np.full(len(of_target), np.inf, np.float32)
+    for k in range(len(of_target)):
+        i, j = of_target[k], of_source[k]
+        turn = target_angles[i] - source_angles[j] - theta
+        if abs((turn + math.pi) % (2.0 * math.pi) - math.pi) < MAX_TURN_RAD:
+            dx = c * source[j, 0] - s * source[j, 1] + x - target[i, 0]
+            dy = s * source[j, 0] + c * source[j, 1] + y - target[i, 1]
+            off[k] = dx * dx + dy * dy
+    return off
+
+
+def _inliers(target: Features, source: Features, matches: Matches, off: Floats, cells: float) -> int:
+    return sum(
+        _num_within(off, cells * cells, one, len(features))
+        for one, features in ((matches.target, target), (matches.source, source))
+    )
+
+
+@compiled
+def _num_within(squared: Floats, limit: float, of_map: npt.NDArray[np.intp], num_features: int) -> int:
+    """How many of a map's keypoints have a match (M,) up to a limit."""
+    is_within = np.zeros(num_features, np.bool_)
+    for k in range(len(squared)):
+        if squared[k] <= limit:
+            is_within[of_map[k]] = True
+    return int(is_within.sum())

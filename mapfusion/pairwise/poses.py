@@ -11,6 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.compiled import compiled
 from mapfusion.grid import OccupancyGrid
 from mapfusion.pairwise.surface import Points
 from mapfusion.transform import SE2
@@ -40,11 +41,15 @@ def moved(poses: Poses, points: Points) -> Points:
     return result
 
 
+@compiled
 def inverse(poses: Poses) -> Poses:
     """The poses of the target in the source."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = poses[:, 0], poses[:, 1]
-    return np.stack([-c * x - s * y, s * x - c * y, -poses[:, 2]], -1)
+    inverted = np.empty_like(poses)
+    for k in range(len(poses)):
+        x, y, theta = poses[k]
+        c, s = math.cos(theta), math.sin(theta)
+        inverted[k, 0], inverted[k, 1], inverted[k, 2] = -c * x - s * y, s * x - c * y, -theta
+    return inverted
 
 
 def after(outer: Poses, inner: Poses) -> Poses:
@@ -56,42 +61,73 @@ def after(outer: Poses, inner: Poses) -> Poses:
     return np.concatenate([outer[:, :2] + moved_by, outer[:, 2:] + inner[:, 2:]], -1)
 
 
-def pose_from_centre(theta: npt.NDArray[np.float64], centre_in_target: Poses, centre: Poses) -> Poses:
+@compiled
+def pose_from_centre(theta: Poses, centre_in_target: Poses, centre: Poses) -> Poses:
     """Poses (K, 3) that turn by theta (K,) and take the source's `centre` (2,) to `centre_in_target` (K, 2)."""
-    c, s = np.cos(theta), np.sin(theta)
-    arm = np.stack([c * centre[0] - s * centre[1], s * centre[0] + c * centre[1]], -1)
-    return np.concatenate([centre_in_target - arm, theta[:, None]], -1)
+    poses = np.empty((len(theta), 3))
+    for k in range(len(theta)):
+        c, s = math.cos(theta[k]), math.sin(theta[k])
+        poses[k, 0] = centre_in_target[k, 0] - c * centre[0] + s * centre[1]
+        poses[k, 1] = centre_in_target[k, 1] - s * centre[0] - c * centre[1]
+        poses[k, 2] = theta[k]
+    return poses
+
+
+@compiled
+def centre_moved(poses: Poses, centre: Poses) -> Poses:
+    """(K, 2): one point (2,) under each pose."""
+    there = np.empty((len(poses), 2))
+    for k in range(len(poses)):
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        there[k, 0] = c * centre[0] - s * centre[1] + poses[k, 0]
+        there[k, 1] = s * centre[0] + c * centre[1] + poses[k, 1]
+    return there
 
 
 def differ(poses: Poses, others: Poses, centre: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:
     """(J, K) which of J `poses` and K `others` differ: by over `cells` at the source's `centre` (2,), or `degrees`."""
-    here, there = (centre_moved(some, centre) for some in (poses, others))
-    return _are_apart(here[:, None] - there, poses[:, 2, None] - others[:, 2], cells, degrees)
+    return _apart(
+        centre_moved(poses, centre), poses, centre_moved(others, centre), others, cells, math.radians(degrees)
+    )
 
 
-def _are_apart(gap: Poses, turn_rad: Poses, cells: float, degrees: float) -> npt.NDArray[np.bool_]:
-    """Whether gaps (..., 2) are over `cells`, or turns (...) over `degrees`."""
-    turn = np.abs(np.remainder(turn_rad + math.pi, 2 * math.pi) - math.pi)
-    result: npt.NDArray[np.bool_] = (np.square(gap).sum(axis=-1) > cells**2) | (turn > math.radians(degrees))
-    return result
+@compiled
+def _apart(
+    here: Poses, poses: Poses, there: Poses, others: Poses, cells: float, turn_rad: float
+) -> npt.NDArray[np.bool_]:
+    apart = np.empty((len(poses), len(others)), np.bool_)
+    for j in range(len(poses)):
+        for k in range(len(others)):
+            apart[j, k] = _are_apart(here[j], poses[j], there[k], others[k], cells, turn_rad)
+    return apart
 
 
-def centre_moved(poses: Poses, centre: Poses) -> Poses:
-    """(K, 2): one point (2,) under each pose."""
-    moved_centre: Poses = rotations(poses) @ centre + poses[:, :2]
-    return moved_centre
+@compiled
+def _are_apart(here: Poses, pose: Poses, there: Poses, other: Poses, cells: float, turn_rad: float) -> bool:
+    """Whether two poses (3,), which take a point to `here` and `there` (2,), differ by over `cells` or `turn_rad`."""
+    dx, dy, turn = here[0] - there[0], here[1] - there[1], pose[2] - other[2]
+    is_turned = abs((turn + math.pi) % (2.0 * math.pi) - math.pi) > turn_rad
+    return bool(is_turned or dx * dx + dy * dy > cells * cells)
 
 
-def distinct(poses: Poses, centre: Poses, cells: float, degrees: float, count: int) -> list[int]:
+def distinct(poses: Poses, centre: Poses, cells: float, degrees: float, count: int) -> npt.NDArray[np.intp]:
     """Indices of the first `count` of the poses (K, 3) that do not lie near an earlier one; near as in `differ`."""
-    at, theta = centre_moved(poses, centre), poses[:, 2]
-    chosen: list[int] = []
-    apart = np.ones(len(poses), np.bool_)
-    while len(chosen) < count and apart.any():
-        first = int(apart.argmax())
-        chosen.append(first)
-        apart &= _are_apart(at - at[first], theta - theta[first], cells, degrees)
-    return chosen
+    return _distinct(poses, centre_moved(poses, centre), cells, math.radians(degrees), count)
+
+
+@compiled
+def _distinct(poses: Poses, at: Poses, cells: float, turn_rad: float, count: int) -> npt.NDArray[np.intp]:
+    chosen, number = np.empty(len(poses), np.intp), 0
+    for k in range(len(poses)):
+        if number >= count:
+            break
+        is_new = True
+        for j in chosen[:number]:
+            is_new = is_new and _are_apart(at[j], poses[j], at[k], poses[k], cells, turn_rad)
+        if is_new:
+            chosen[number] = k
+            number += 1
+    return chosen[:number].copy()
 
 
 def to_se2(pose: Poses, resolution_m: float) -> SE2:

@@ -74,7 +74,7 @@ class PreparedMap:
     def facing_bins(self) -> Indices:
         """(N,) direction that each wall of the field faces, as a whole bin; only of maps that have a field."""
         assert self.field is not None
-        bins: Indices = np.floor(self.field.surface.facing() + 0.5).astype(np.int32) % DIRECTION_BINS
+        bins: Indices = np.floor(self.field.surface.facing + 0.5).astype(np.int32) % DIRECTION_BINS
         return bins
 
     @cached_property
@@ -114,7 +114,7 @@ def prepare(grid: OccupancyGrid, resolution_m: float) -> PreparedMap:
         field=field,
         area=area,
         cells_per_area_sample=cells_per_area_sample,
-        centre=np.zeros(2) if field is None else field.walls[:2].mean(axis=1).astype(np.float64),
+        centre=np.zeros(2) if field is None else field.surface.points.mean(axis=0).astype(np.float64),
         key=hashlib.sha256(grid.cells.tobytes()).digest(),
     )
 

@@ -1,26 +1,26 @@
 """Poses to a fraction of a cell: the walls of each map are drawn onto those of the other.
 
-Point-to-line ICP in both directions at once with an annealed robust kernel, many poses side by side. Walls attract
+Point-to-line ICP in both directions at once with an annealed robust kernel, each of many poses by itself. Walls attract
 each other only where they were seen from the same side.
 Source: Chen and Medioni, Image and Vision Computing 1992 (point to plane); Tukey's biweight.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.pairwise.poses import Poses, inverse, moved, rotations, turned
-from mapfusion.pairwise.surface import Floats, Indices, Surface, SurfaceField
+from mapfusion.compiled import compiled
+from mapfusion.pairwise.poses import Poses
+from mapfusion.pairwise.surface import FIELD_MARGIN, Floats, Indices, Points, Surface, SurfaceField
 
 SAME_SIDE_COSINE = 0.5
 """Normals within 60 degrees count as one wall seen from one side."""
-SETTLED = np.array([1e-2, 1e-2, 1e-4])
-"""Steps below this, in cells and radians, change nothing any more: a pose that stands goes on to the closest reach."""
-
-_ONE = np.eye(3)
+SETTLED_CELLS, SETTLED_RAD = 1e-2, 1e-4
+"""A step below these changes nothing any more: a pose that stands goes on to the closest reach."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,38 +29,36 @@ class Encounters:
 
     Attributes:
         cells: Flat index of the field's cell below the point.
-        arms: (K, 2, N) from the pose's origin to the point, in the field's axes.
-        lines: (K, 2, N) normals of the nearest walls.
+        lines: (K, N, 2) normals of the nearest walls.
         gap: Signed distance to the nearest wall's line, along its normal.
         squared: Squared distance to the nearest wall's point.
-        same_side: Whether both walls were seen from the same side.
+        cosine: Of the angle between both walls' normals.
     """
 
     cells: Indices
-    arms: Floats
     lines: Floats
     gap: Floats
     squared: Floats
-    same_side: npt.NDArray[np.bool_]
+    cosine: Floats
+
+    @property
+    def same_side(self) -> npt.NDArray[np.bool_]:
+        """Whether both walls were seen from the same side."""
+        return np.greater(self.cosine, SAME_SIDE_COSINE)
 
 
 def encounters(field: SurfaceField, surface: Surface, poses: Poses) -> Encounters:
     """What the points of `surface` meet in `field` under `poses` (K, 3)."""
-    R = rotations(poses)
-    arms = turned(R, surface.points)
-    points = arms + poses[:, :2, None].astype(np.float32)
-    facing = turned(R, surface.normals)
-    cells = field.cells_below(points)
-    wall = field.walls.take(field.nearest.ravel().take(cells), axis=1)
-    dx, dy, nx, ny = points[:, 0] - wall[0], points[:, 1] - wall[1], wall[2], wall[3]
-    return Encounters(
-        cells=cells,
-        arms=arms,
-        lines=wall[2:].transpose(1, 0, 2),
-        gap=dx * nx + dy * ny,
-        squared=dx * dx + dy * dy,
-        same_side=facing[:, 0] * nx + facing[:, 1] * ny > SAME_SIDE_COSINE,
-    )
+    return Encounters(*_encounters(field.nearest, field.walls, FIELD_MARGIN, surface.points, surface.normals, poses))
+
+
+def cells_below(field: SurfaceField, points: Points, poses: Poses) -> Indices:
+    """(K, N) flat index of the field's cell below each of the points (N, 2) under `poses` (K, 3).
+
+    For points outside it is a cell at the field's edge.
+    """
+    height, width = field.nearest.shape
+    return _cells_below(height, width, FIELD_MARGIN, points, poses)
 
 
 def refine(
@@ -83,55 +81,187 @@ def refine(
     """
     from_source, from_target = source.surface.thinned(num_points), target.surface.thinned(num_points)
     share = (len(source.surface) + len(target.surface)) / (len(from_source) + len(from_target))
-    # Turning about the centre instead of the corner keeps rotation and translation nearly independent.
-    about = poses.copy()
-    about[:, :2] = moved(poses, centre[None].astype(np.float32))[:, :, 0]
-    centred = Surface(from_source.points - centre.astype(np.float32), from_source.normals)
-    information = np.zeros((len(poses), 3, 3))
-    has_settled = False
-    for reach in reaches:
-        if has_settled and reach != reaches[-1]:
-            continue
-        there = encounters(target, centred, about)
-        information, gradient = _normal_equations(there.lines, there.arms, there.gap, _weights(there, reach))
-        back = encounters(source, from_target, inverse(_about_corner(about, centre)))
-        # Seen from the target it is the source's wall that moves, and its normal turns with it.
-        lines = rotations(about) @ back.lines
-        walls = from_target.points.T - back.gap[:, None] * lines
-        arms = walls - about[:, :2, None].astype(np.float32)
-        more, more_gradient = _normal_equations(lines, arms, -back.gap, _weights(back, reach))
-        information, gradient = information + more, gradient + more_gradient
-        # A corridor fixes nothing along itself: without damping its pose would run away there.
-        damping = 1e-4 * (information[:, 0, 0] + information[:, 1, 1]) + 1e-3
-        step = np.linalg.solve(information + damping[:, None, None] * _ONE, gradient[..., None])[..., 0]
-        about = about - step
-        has_settled = bool((np.abs(step) < SETTLED).all())
-        if has_settled and reach == reaches[-1]:
-            break
-    return _about_corner(about, centre), information * share
-
-
-def _about_corner(about: Poses, centre: Poses) -> Poses:
-    poses = about.copy()
-    poses[:, :2] -= rotations(about).astype(np.float64) @ centre
-    return poses
-
-
-def _weights(found: Encounters, reach: float) -> Floats:
-    inside = np.maximum(1.0 - found.squared * np.float32(1.0 / reach**2), 0.0)
-    weights: Floats = inside * inside * found.same_side
-    return weights
-
-
-def _normal_equations(
-    lines: Floats, arms: Floats, gap: Floats, weights: Floats
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """J^T W J (K, 3, 3) and J^T W r (K, 3) for residuals `gap` along `lines` of points at `arms` from the pivot."""
-    J = np.empty((len(gap), 3, gap.shape[1]), np.float32)
-    J[:, :2] = lines
-    J[:, 2] = lines[:, 1] * arms[:, 0] - lines[:, 0] * arms[:, 1]
-    weighted = J * weights[:, None]
-    return (
-        (weighted @ J.transpose(0, 2, 1)).astype(np.float64),
-        (weighted @ gap[..., None])[..., 0].astype(np.float64),
+    refined, information = _refined(
+        (target.nearest, target.walls, from_target.points, from_target.normals),
+        (source.nearest, source.walls, from_source.points, from_source.normals),
+        FIELD_MARGIN,
+        poses,
+        centre,
+        np.array(reaches),
     )
+    return refined, information * share
+
+
+@compiled
+def _land(
+    xs: Poses,
+    ys: Poses,
+    move: tuple[float, float, float, float],
+    shape: tuple[int, int],
+    margin: int,
+    cells: Indices,
+) -> None:
+    """Writes to `cells` (N,) in which cell of a field each point lands, moved by x and y, turned by cosine and sine."""
+    x, y, c, s = move
+    # Cut off before they are made whole, and held to 32 bits, several points go through the loop at once.
+    last_row, last_column, cells_per_row = shape[0] - 1.0, shape[1] - 1.0, np.int32(shape[1])
+    for i in range(len(xs)):
+        row = np.int32(min(max(s * xs[i] + c * ys[i] + y + margin, 0.0), last_row))
+        column = np.int32(min(max(c * xs[i] - s * ys[i] + x + margin, 0.0), last_column))
+        cells[i] = np.int32(row * cells_per_row + column)
+
+
+@compiled
+def _cells_below(height: int, width: int, margin: int, points: Points, poses: Poses) -> Indices:
+    cells = np.empty((len(poses), len(points)), np.int32)
+    xs, ys = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+    for k in range(len(poses)):
+        move = poses[k, 0], poses[k, 1], math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        _land(xs, ys, move, (height, width), margin, cells[k])
+    return cells
+
+
+@compiled
+def _encounters(
+    nearest: Indices, walls: Floats, margin: int, points: Points, normals: Points, poses: Poses
+) -> tuple[Indices, Floats, Floats, Floats, Floats]:
+    shape = len(poses), len(points)
+    xs, ys, flat = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64), nearest.ravel()
+    cells, lines = np.empty(shape, np.int32), np.empty((*shape, 2), np.float32)
+    gap, squared, cosine = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for k in range(len(poses)):
+        x, y, c, s = poses[k, 0], poses[k, 1], math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        _land(xs, ys, (x, y, c, s), nearest.shape, margin, cells[k])
+        for i in range(len(points)):
+            wall = flat[cells[k, i]]
+            nx, ny = walls[wall, 2], walls[wall, 3]
+            dx, dy = c * xs[i] - s * ys[i] + x - walls[wall, 0], s * xs[i] + c * ys[i] + y - walls[wall, 1]
+            lines[k, i, 0], lines[k, i, 1] = nx, ny
+            gap[k, i], squared[k, i] = dx * nx + dy * ny, dx * dx + dy * dy
+            facing_x, facing_y = c * normals[i, 0] - s * normals[i, 1], s * normals[i, 0] + c * normals[i, 1]
+            cosine[k, i] = facing_x * nx + facing_y * ny
+    return cells, lines, gap, squared, cosine
+
+
+_Map = tuple[Indices, Floats, Points, Points]
+"""A field's nearest walls and its walls, and the points and normals of a surface."""
+_Move = tuple[float, float, float, float]
+"""Where the source's centre lies in the target, and the cosine and sine of the source's turn."""
+_Sums = tuple[float, float, float, float, float, float, float, float, float]
+"""J^T W J, its upper triangle row by row, and J^T W r."""
+
+
+@compiled
+def _refined(
+    target: _Map, source: _Map, margin: int, poses: Poses, centre: Poses, reaches: Poses
+) -> tuple[Poses, npt.NDArray[np.float64]]:
+    refined, information = np.empty((len(poses), 3)), np.empty((len(poses), 3, 3))
+    cells = np.empty(max(len(source[2]), len(target[2])), np.int32)
+    xs, ys = source[2][:, 0] - centre[0], source[2][:, 1] - centre[1]
+    target_xs, target_ys = target[2][:, 0].astype(np.float64), target[2][:, 1].astype(np.float64)
+    last = len(reaches) - 1
+    for k in range(len(poses)):
+        # Turning about the centre instead of the corner keeps rotation and translation nearly independent.
+        theta = poses[k, 2]
+        c, s = math.cos(theta), math.sin(theta)
+        x = poses[k, 0] + c * centre[0] - s * centre[1]
+        y = poses[k, 1] + s * centre[0] + c * centre[1]
+        has_settled = False
+        for step in range(len(reaches)):
+            if has_settled and step != last:
+                continue
+            move = x, y, c, s
+            _land(xs, ys, move, target[0].shape, margin, cells)
+            there = _attracted(target[0].ravel(), target[1], cells, xs, ys, source[3], move, reaches[step])
+            # The other way round it is the centre that lies at (centre_x, centre_y).
+            at = centre[0] - c * x - s * y, centre[1] + s * x - c * y, c, -s
+            _land(target_xs, target_ys, at, source[0].shape, margin, cells)
+            back = _attracted_back(
+                source[0].ravel(), source[1], cells, target_xs, target_ys, target[3], move, centre, reaches[step]
+            )
+            xx, xy, xt = there[0] + back[0], there[1] + back[1], there[2] + back[2]
+            yy, yt, tt = there[3] + back[3], there[4] + back[4], there[5] + back[5]
+            # A corridor fixes nothing along itself: without damping its pose would run away there.
+            damping = 1e-4 * (xx + yy) + 1e-3
+            gx, gy, gt = there[6] + back[6], there[7] + back[7], there[8] + back[8]
+            dx, dy, turn = _solved(xx + damping, xy, xt, yy + damping, yt, tt + damping, gx, gy, gt)
+            x, y, theta = x - dx, y - dy, theta - turn
+            c, s = math.cos(theta), math.sin(theta)
+            has_settled = max(abs(dx), abs(dy)) < SETTLED_CELLS and abs(turn) < SETTLED_RAD
+            information[k, 0, 0], information[k, 1, 1], information[k, 2, 2] = xx, yy, tt
+            information[k, 0, 1], information[k, 0, 2], information[k, 1, 2] = xy, xt, yt
+            information[k, 1, 0], information[k, 2, 0], information[k, 2, 1] = xy, xt, yt
+        refined[k, 0], refined[k, 1] = x - c * centre[0] + s * centre[1], y - s * centre[0] - c * centre[1]
+        refined[k, 2] = theta
+    return refined, information
+
+
+@compiled
+def _attracted(
+    nearest: Indices, walls: Floats, cells: Indices, xs: Poses, ys: Poses, normals: Points, move: _Move, reach: float
+) -> _Sums:
+    """What the target's walls do to points of the source, given from its centre, that land in some cells."""
+    x, y, c, s = move
+    per_squared = 1.0 / reach**2
+    xx, xy, xt, yy, yt, tt, gx, gy, gt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(xs)):
+        arm_x, arm_y, wall = c * xs[i] - s * ys[i], s * xs[i] + c * ys[i], nearest[cells[i]]
+        dx, dy, nx, ny = arm_x + x - walls[wall, 0], arm_y + y - walls[wall, 1], walls[wall, 2], walls[wall, 3]
+        facing_x, facing_y = c * normals[i, 0] - s * normals[i, 1], s * normals[i, 0] + c * normals[i, 1]
+        inside = 1.0 - (dx * dx + dy * dy) * per_squared
+        if inside > 0.0 and facing_x * nx + facing_y * ny > SAME_SIDE_COSINE:
+            gap, weight, turning = dx * nx + dy * ny, inside * inside, ny * arm_x - nx * arm_y
+            wx, wy, wt = weight * nx, weight * ny, weight * turning
+            xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * turning
+            yy, yt, tt = yy + wy * ny, yt + wy * turning, tt + wt * turning
+            gx, gy, gt = gx + wx * gap, gy + wy * gap, gt + wt * gap
+    return xx, xy, xt, yy, yt, tt, gx, gy, gt
+
+
+@compiled
+def _attracted_back(
+    nearest: Indices,
+    walls: Floats,
+    cells: Indices,
+    xs: Poses,
+    ys: Poses,
+    normals: Points,
+    move: _Move,
+    centre: Poses,
+    reach: float,
+) -> _Sums:
+    """What points of the target do to the source's walls: it is the wall that moves, and its normal turns with it."""
+    x, y, c, s = move
+    centre_x, centre_y, per_squared = centre[0], centre[1], 1.0 / reach**2
+    xx, xy, xt, yy, yt, tt, gx, gy, gt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(xs)):
+        qx, qy, wall = xs[i] - x, ys[i] - y, nearest[cells[i]]
+        dx, dy = c * qx + s * qy + centre_x - walls[wall, 0], c * qy - s * qx + centre_y - walls[wall, 1]
+        wall_nx, wall_ny = walls[wall, 2], walls[wall, 3]
+        nx, ny = c * wall_nx - s * wall_ny, s * wall_nx + c * wall_ny
+        inside = 1.0 - (dx * dx + dy * dy) * per_squared
+        if inside > 0.0 and normals[i, 0] * nx + normals[i, 1] * ny > SAME_SIDE_COSINE:
+            gap = dx * wall_nx + dy * wall_ny
+            weight, turning = inside * inside, ny * (qx - gap * nx) - nx * (qy - gap * ny)
+            wx, wy, wt = weight * nx, weight * ny, weight * turning
+            xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * turning
+            yy, yt, tt = yy + wy * ny, yt + wy * turning, tt + wt * turning
+            gx, gy, gt = gx - wx * gap, gy - wy * gap, gt - wt * gap
+    return xx, xy, xt, yy, yt, tt, gx, gy, gt
+
+
+@compiled
+def _solved(
+    xx: float, xy: float, xt: float, yy: float, yt: float, tt: float, gx: float, gy: float, gt: float
+) -> tuple[float, float, float]:
+    """What a symmetric positive definite matrix, its upper triangle row by row, takes to (gx, gy, gt): by Cholesky."""
+    l00 = math.sqrt(xx)
+    l10, l20 = xy / l00, xt / l00
+    l11 = math.sqrt(yy - l10 * l10)
+    l21 = (yt - l20 * l10) / l11
+    l22 = math.sqrt(tt - l20 * l20 - l21 * l21)
+    a = gx / l00
+    b = (gy - l10 * a) / l11
+    turn = (gt - l20 * a - l21 * b) / l22 / l22
+    dy = (b - l21 * turn) / l11
+    return (a - l10 * dy - l20 * turn) / l00, dy, turn

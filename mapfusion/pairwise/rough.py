@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mapfusion.pairwise.evidence import against_chance, discounted
-from mapfusion.pairwise.poses import Poses, centre_moved, distinct, inverse, moved, pose_from_centre
+from mapfusion.pairwise.poses import Poses, centre_moved, distinct, inverse, pose_from_centre
 from mapfusion.pairwise.prepared import PreparedMap
-from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, meetings
+from mapfusion.pairwise.refine import cells_below
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, summed_meetings
 
 CHANCE = 0.1
 """Share of walls that agree by chance, about."""
@@ -81,11 +82,11 @@ def best_nearby(target: PreparedMap, source: PreparedMap, poses: Poses, steps: S
     offsets = np.arange(-NUM_STEPS, NUM_STEPS + 1)
     lattice = np.stack(np.meshgrid(offsets, offsets, offsets, indexing="ij"), -1).reshape(-1, 3)
     lattice = lattice * np.array([steps.cells, steps.cells, math.radians(steps.degrees)])
-    best = []
-    for pose, at in zip(poses, centre_moved(poses, source.centre), strict=True):
-        around = pose_from_centre(pose[2] + lattice[:, 2], at + lattice[:, :2], source.centre)
-        best.append(around[rough_score(target, source, around, steps.num_points).argmax()])
-    return np.array(best)
+    at = centre_moved(poses, source.centre)[:, None] + lattice[:, :2]
+    theta = poses[:, 2, None] + lattice[:, 2]
+    around = pose_from_centre(theta.ravel(), at.reshape(-1, 2), source.centre)
+    best = rough_score(target, source, around, steps.num_points).reshape(theta.shape).argmax(axis=1)
+    return np.asarray(around[np.arange(len(poses)) * len(lattice) + best], np.float64)
 
 
 def rough_score(target: PreparedMap, source: PreparedMap, poses: Poses, num_points: int) -> Poses:
@@ -98,8 +99,7 @@ def _one_way(target: PreparedMap, source: PreparedMap, poses: Poses, num_points:
     assert target.field is not None
     assert source.field is not None
     some = source.field.surface.thinned(num_points)
-    codes = target.sketch.ravel().take(target.field.cells_below(moved(poses, some.points)))
-    met = meetings(codes, some.facing(), poses[:, 2]).sum(axis=-1)
+    met = summed_meetings(target.sketch, cells_below(target.field, some.points, poses), some.facing, poses[:, 2])
     n, agrees, contradicts = met % AGREES, met % CONTRADICTS // AGREES, met // CONTRADICTS
-    evidence = against_chance(n, agrees, np.asarray(CHANCE))
+    evidence = against_chance(n.astype(np.float64), agrees.astype(np.float64), CHANCE)
     return discounted(evidence, contradicts / np.maximum(n, 1)) * (len(source.field.surface) / len(some))

@@ -11,16 +11,15 @@ one, seen from the other side, is a neighbour's.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from mapfusion.pairwise.poses import Poses, inverse, rotations, turned
-from mapfusion.pairwise.refine import SAME_SIDE_COSINE, Encounters, encounters
-from mapfusion.pairwise.surface import NOT_KNOWN, Points, Surface, SurfaceField
+from mapfusion.compiled import compiled
+from mapfusion.pairwise.poses import Poses, inverse
+from mapfusion.pairwise.refine import SAME_SIDE_COSINE, encounters
+from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Floats, Points, Surface, SurfaceField
 
 NEAR_CELLS = 3.0
 """Walls within this meet; a wall deeper than this in free space stands in it."""
@@ -30,12 +29,13 @@ MIN_RUN_CELLS = 8
 """A shorter run of wall across free space may be noise."""
 NUM_COMPARED = 128
 """So many agreeing cells are compared with each other to count walls."""
-SAME_WALL_CELLS = 4.0
-"""Standard deviation of the offset of cells of one wall."""
+SAME_WALL_CELLS, SAME_WALL_COSINE = 4.0, 0.5
+"""Standard deviation of the offset of cells of one wall, and the cosine between normals of one."""
+CONNECTED_CELLS = 3
+"""Walls this far apart, in x and y, are one run: a gap of two cells connects."""
 
 
-@dataclass(frozen=True, slots=True)
-class Scrutiny:
+class Scrutiny(NamedTuple):
     """What a closer look finds; shares are of the wall cells in the area known in both maps, in [0, 1].
 
     Attributes:
@@ -61,32 +61,23 @@ class Scrutiny:
 
 def scrutinise(target: SurfaceField, source: SurfaceField, pose: Poses, tolerance_cells: float) -> Scrutiny:
     """Looks closely at `pose` (3,) of the source in the target; walls agree within `tolerance_cells`."""
-    both = [
+    both = (
         _look(target, source.surface, pose, tolerance_cells),
         _look(source, target.surface, inverse(pose[None])[0], tolerance_cells),
-    ]
+    )
     num_known = max(1, sum(one.num_known for one in both))
-    runs = [run.cells for one in both for run in one.crossing]
     return Scrutiny(
         lines=sum(one.lines for one in both) / 2.0,
         turning=sum(one.turning for one in both) / 2.0,
         opposite=sum(one.num_opposite for one in both) / num_known,
-        crossing_cells=float(max(runs, default=0)),
-        crossing=sum(run for run in runs if run >= MIN_RUN_CELLS) / num_known,
-        stray_cells=max((run.length for one in both for run in one.stray), default=0.0),
+        crossing_cells=float(max(one.longest_crossing for one in both)),
+        crossing=sum(one.num_crossing for one in both) / num_known,
+        stray_cells=max(one.stray_cells for one in both),
         outside=min(1.0 - one.num_known / max(1, one.num_walls) for one in both),
     )
 
 
-class _Run(NamedTuple):
-    """A connected run of wall: its number of cells, and the diagonal of its bounding box, cells."""
-
-    cells: int
-    length: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Look:
+class _Look(NamedTuple):
     """One direction: what the walls of one map meet in the other; numbers of cells."""
 
     num_walls: int
@@ -94,82 +85,164 @@ class _Look:
     num_opposite: int
     lines: float
     turning: float
-    crossing: list[_Run]
-    stray: list[_Run]
+    longest_crossing: int
+    num_crossing: int
+    stray_cells: float
 
 
 def _look(field: SurfaceField, surface: Surface, pose: Poses, tolerance_cells: float) -> _Look:
     found = encounters(field, surface, pose[None])
-    depth = field.depth.ravel().take(found.cells[0])
-    known = depth != NOT_KNOWN
-    squared = found.squared[0]
-    near = known & (squared <= NEAR_CELLS**2)
-    cosine = _cosine(found, surface, pose)
-    across = known & (depth > NEAR_CELLS) & (squared > NEAR_CELLS**2) & (np.abs(cosine) < SAME_SIDE_COSINE)
-    stray = known & (depth > STRAY_CELLS) & (squared > STRAY_CELLS**2)
-    agrees = known & found.same_side[0] & (squared <= tolerance_cells**2)
-    some = surface.at(np.flatnonzero(agrees)).thinned(NUM_COMPARED)
-    return _Look(
-        num_walls=len(surface),
-        num_known=int(np.count_nonzero(known)),
-        num_opposite=int(np.count_nonzero(near & (cosine < -SAME_SIDE_COSINE))),
-        lines=_effective_number(some),
-        turning=_hold_on_rotation(some),
-        crossing=_runs(surface.points[across]),
-        stray=_runs(surface.points[stray]),
+    figures = _looked_at(
+        field.depth.ravel().take(found.cells[0]) != NOT_KNOWN,
+        field.depth.ravel().take(found.cells[0]),
+        found.squared[0],
+        found.cosine[0],
+        SAME_SIDE_COSINE,
+        tolerance_cells,
+        surface.points,
+        surface.normals,
     )
+    return _Look(len(surface), *figures)
 
 
-def _cosine(found: Encounters, surface: Surface, pose: Poses) -> npt.NDArray[np.float32]:
-    """(N,) cosine between each wall's normal and that of the wall it meets."""
-    (facing,) = turned(rotations(pose[None]), surface.normals)
-    cosine: npt.NDArray[np.float32] = (found.lines[0] * facing).sum(axis=0)
-    return cosine
+@compiled
+def _looked_at(
+    is_known: npt.NDArray[np.bool_],
+    depth: Bytes,
+    squared: Floats,
+    cosine: Floats,
+    same_side_cosine: float,
+    tolerance_cells: float,
+    points: Points,
+    normals: Points,
+) -> tuple[int, int, float, float, int, int, float]:
+    """All of a _Look but the number of its walls; arrays are (N,) or (N, 2), the walls in row-major order.
+
+    Args:
+        is_known: Whether the field knows the cell below a wall.
+        depth: Of that cell.
+        squared: Squared distance to the wall that it meets, cells.
+        cosine: Of the angle between both walls' normals.
+        same_side_cosine: From which on both were seen from the same side.
+        tolerance_cells: Within which walls agree.
+        points: Of the walls.
+        normals: Of the walls.
+    """
+    number = len(points)
+    agreeing, across, stray = np.empty(number, np.int64), np.empty(number, np.int64), np.empty(number, np.int64)
+    num_known, num_opposite, num_agreeing, num_across, num_stray = 0, 0, 0, 0, 0
+    for i in range(number):
+        if not is_known[i]:
+            continue
+        num_known += 1
+        if squared[i] <= NEAR_CELLS**2:
+            num_opposite += cosine[i] < -same_side_cosine
+        elif depth[i] > NEAR_CELLS and abs(cosine[i]) < same_side_cosine:
+            across[num_across] = i
+            num_across += 1
+        if squared[i] <= tolerance_cells**2 and cosine[i] > same_side_cosine:
+            agreeing[num_agreeing] = i
+            num_agreeing += 1
+        if depth[i] > STRAY_CELLS and squared[i] > STRAY_CELLS**2:
+            stray[num_stray] = i
+            num_stray += 1
+    num_some = min(num_agreeing, NUM_COMPARED)
+    some = agreeing[np.arange(num_some) * (num_agreeing - 1) // max(num_some - 1, 1)]
+    lines, turning = _effective_number(points, normals, some), _hold_on_rotation(points, normals, some)
+    longest_crossing, num_crossing, stray_cells = 0, 0, 0.0
+    for cells in _runs(points, across[:num_across])[0]:
+        longest_crossing = max(longest_crossing, cells)
+        if cells >= MIN_RUN_CELLS:
+            num_crossing += cells
+    for length in _runs(points, stray[:num_stray])[1]:
+        stray_cells = max(stray_cells, length)
+    return num_known, num_opposite, lines, turning, longest_crossing, num_crossing, stray_cells
 
 
-def _runs(points: Points) -> list[_Run]:
-    """The connected runs of (N, 2) points; a gap of one cell connects."""
-    if not len(points):
-        return []
-    cells = points.astype(np.int32)
-    cells -= cells.min(axis=0) - 1
-    image = np.zeros(cells.max(axis=0)[::-1] + 2, np.uint8)
-    image[cells[:, 1], cells[:, 0]] = 1
-    _, labels, boxes, _ = cv2.connectedComponentsWithStats(cv2.dilate(image, np.ones((3, 3), np.uint8)), connectivity=8)
-    counts = np.bincount(labels[cells[:, 1], cells[:, 0]])[1:].tolist()
-    # The dilated runs are wider by a cell on each side, and a run of one cell has no length.
-    edges = boxes[1:, cv2.CC_STAT_WIDTH : cv2.CC_STAT_HEIGHT + 1] - 3
-    return [_Run(cells, math.hypot(*edge)) for cells, edge in zip(counts, edges.tolist(), strict=True)]
+@compiled
+def _runs(points: Points, chosen: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """The connected runs of the chosen points, which are in row-major order: those up to CONNECTED_CELLS apart.
+
+    Returns:
+        (R,) how many points each has, and (R,) the diagonal of the box around it, cells.
+    """
+    number = len(chosen)
+    parent = np.arange(number)
+    rows, columns = np.empty(number, np.int64), np.empty(number, np.int64)
+    for i in range(number):
+        rows[i], columns[i] = int(points[chosen[i], 1]), int(points[chosen[i], 0])
+    # Of each row in reach, the first point that is not too far to the left: it moves on with the points.
+    firsts = np.zeros(CONNECTED_CELLS + 1, np.int64)
+    for i in range(number):
+        for above in range(CONNECTED_CELLS + 1):
+            row, left = rows[i] - above, columns[i] - CONNECTED_CELLS
+            j = firsts[above]
+            while j < i and (rows[j] < row or (rows[j] == row and columns[j] < left)):
+                j += 1
+            firsts[above] = j
+            while j < i and rows[j] == row and columns[j] <= columns[i] + CONNECTED_CELLS:
+                parent[_root(parent, j)] = _root(parent, i)
+                j += 1
+    counts = np.zeros(number, np.int64)
+    low, high = np.full((number, 2), 1 << 30), np.zeros((number, 2), np.int64)
+    for i in range(number):
+        k = _root(parent, i)
+        counts[k] += 1
+        low[k, 0], low[k, 1] = min(low[k, 0], rows[i]), min(low[k, 1], columns[i])
+        high[k, 0], high[k, 1] = max(high[k, 0], rows[i]), max(high[k, 1], columns[i])
+    roots = np.flatnonzero(counts)
+    lengths = np.empty(len(roots))
+    for k in range(len(roots)):
+        lengths[k] = math.hypot(high[roots[k], 0] - low[roots[k], 0], high[roots[k], 1] - low[roots[k], 1])
+    return counts[roots], lengths
 
 
-def _effective_number(some: Surface) -> float:
+@compiled
+def _root(parent: npt.NDArray[np.int64], i: int) -> int:
+    """The one that stands for all that are connected with point `i`."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@compiled
+def _effective_number(points: Points, normals: Points, some: npt.NDArray[np.int64]) -> float:
     """How many different walls some cells belong to: 1 / the probability that two of them are of one wall.
 
     Source: the order-2 diversity of Leinster and Cobbold, Ecology 2012. Two cells are of one wall as far as they were
     seen from the same side and lie on one line across their mean normal, give or take SAME_WALL_CELLS.
     """
-    n = len(some)
-    if n < 2:
-        return float(n)
-    # With p_ij = points_i . normals_j, (point_i - point_j) . (normal_i + normal_j) = p_ii - p_jj + p_ij - p_ji.
-    projections = (some.points - some.points.mean(axis=0)) @ some.normals.T
-    own = projections.diagonal()
-    across = projections - projections.T + (own[:, None] - own)
-    across *= across
-    squared_length = 2.0 + 2.0 * (some.normals @ some.normals.T)  # of the sum of two unit vectors
-    across /= np.maximum(squared_length, np.float32(1e-6))
-    across *= np.float32(-0.5 / SAME_WALL_CELLS**2)
-    is_one = np.exp(across, out=across)
-    is_one *= squared_length > 2.0 + 2.0 * SAME_SIDE_COSINE
-    return n * (n - 1) / max(float(is_one.sum()) - n, 1e-6)
+    number, of_one = len(some), 0.0
+    if number < 2:
+        return float(number)
+    for i in range(number):
+        x, y, nx, ny = points[some[i], 0], points[some[i], 1], normals[some[i], 0], normals[some[i], 1]
+        for j in range(i):
+            other_nx, other_ny = normals[some[j], 0], normals[some[j], 1]
+            cosine = nx * other_nx + ny * other_ny
+            if cosine > SAME_WALL_COSINE:
+                across = (x - points[some[j], 0]) * (nx + other_nx) + (y - points[some[j], 1]) * (ny + other_ny)
+                of_one += math.exp(-0.5 * across * across / (2.0 + 2.0 * cosine) / SAME_WALL_CELLS**2)
+    return number * (number - 1) / max(2.0 * of_one, 1e-6)
 
 
-def _hold_on_rotation(some: Surface) -> float:
-    if len(some) < 3:
+@compiled
+def _hold_on_rotation(points: Points, normals: Points, some: npt.NDArray[np.int64]) -> float:
+    """What cells fix of the rotation once the translation is free / their mean square distance from their middle."""
+    number = len(some)
+    if number < 3:
         return 0.0
-    arms = some.points - some.points.mean(axis=0)
-    J = np.concatenate([some.normals, (arms[:, 0] * some.normals[:, 1] - arms[:, 1] * some.normals[:, 0])[:, None]], 1)
-    information = (J.T @ J).astype(np.float64)
-    along = information[:2, 2]
-    left = information[2, 2] - along @ np.linalg.solve(information[:2, :2] + 1e-3 * np.eye(2), along)
-    return float(left / max(float(np.square(arms).sum()), 1e-6))
+    middle_x, middle_y = 0.0, 0.0
+    for i in some:
+        middle_x += points[i, 0] / number
+        middle_y += points[i, 1] / number
+    xx, xy, yy, xt, yt, tt, spread = 1e-3, 0.0, 1e-3, 0.0, 0.0, 0.0, 0.0
+    for i in some:
+        x, y, nx, ny = points[i, 0] - middle_x, points[i, 1] - middle_y, normals[i, 0], normals[i, 1]
+        turning = x * ny - y * nx
+        xx, xy, yy = xx + nx * nx, xy + nx * ny, yy + ny * ny
+        xt, yt, tt = xt + nx * turning, yt + ny * turning, tt + turning * turning
+        spread += x * x + y * y
+    free = (yy * xt * xt - 2.0 * xy * xt * yt + xx * yt * yt) / (xx * yy - xy * xy)
+    return (tt - free) / max(spread, 1e-6)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -98,7 +99,7 @@ THOROUGH = Effort(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """One pose, looked at closely.
 
@@ -111,13 +112,13 @@ class Candidate:
     pose: Poses
     figures: dict[str, float]
 
-    @property
+    @cached_property
     def plausibility(self) -> float:
         """By how much it is to be preferred to other poses of the pair, as a log-odds."""
         return plausibility(self.figures)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Finding:
     """The best pose of the source in the target, and the distinctly different one that comes nearest to it.
 
@@ -140,6 +141,11 @@ class Finding:
     num_matches: int = 0
     num_inliers: int = 0
     num_keypoints: tuple[int, int] = (0, 0)
+
+    @cached_property
+    def margin(self) -> float:
+        """How clearly the best pose is to be preferred to its rival."""
+        return margin(self.best.figures, None if self.rival is None else self.rival.figures)
 
     @property
     def covariance(self) -> Poses:
@@ -235,8 +241,7 @@ def examine(
         found = _as_it_is(target, source, candidates[0])
     else:
         candidates = shortlist.with_slides().best(effort.num_scrutinised)
-        found = recheck(target, source, candidates[0].pose, matches)
-    found = with_firmness(found, target, source)
+        found = with_firmness(recheck(target, source, candidates[0].pose, matches), target, source)
     others = np.array([one.pose for one in candidates])
     (apart,) = differ(others[:1], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
     off = squared_offsets(target.features, source.features, matches, found.best.pose)
@@ -397,9 +402,9 @@ def look_closely(
     assert source.field is not None
     figures = evidence.of(index)
     scrutiny = scrutinise(target.field, source.field, pose, figures["tolerance_cells"])
-    figures |= asdict(scrutiny)
+    figures |= scrutiny._asdict()
     if matches is not None:
-        figures |= asdict(keypoint_agreement(target, source, pose, matches, figures["tolerance_cells"]))
+        figures |= keypoint_agreement(target, source, pose, matches, figures["tolerance_cells"])._asdict()
     return Candidate(pose, figures)
 
 

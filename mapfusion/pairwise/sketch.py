@@ -2,45 +2,122 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.compiled import compiled
 from mapfusion.pairwise.poses import Poses
 from mapfusion.pairwise.refine import SAME_SIDE_COSINE
-from mapfusion.pairwise.surface import DIRECTION_BINS, NOT_KNOWN, Bytes, Floats, SurfaceField
+from mapfusion.pairwise.surface import DIRECTION_BINS, NOT_KNOWN, Bytes, Floats, Indices, SurfaceField
 
 NEAR_CELLS = 6
 """A wall this near a wall seen from the same side agrees with it."""
 DEEP_CELLS = 3
 """A wall this deep in free space, and this far from any wall, contradicts the map."""
-_NOT_NEAR, _DEEP = np.uint8(31), np.uint8(32)
+_NOT_NEAR, _DEEP = 31, 32
 UNKNOWN = 64
 NUM_CODES = 128
 """A cell's code: the direction of the wall near it or _NOT_NEAR, and the flags _DEEP and UNKNOWN."""
+Sums = npt.NDArray[np.int64]
 KNOWN, AGREES, CONTRADICTS = 1, 1 << 10, 1 << 20
 """What a wall meets, as digits that can be summed over fewer than 1024 walls."""
 
 
 def sketch(field: SurfaceField) -> Bytes:
     """(H, W) codes of the cells of a field."""
-    bins = np.floor(field.surface.facing() + np.float32(0.5)).astype(np.int32) % DIRECTION_BINS
-    codes: Bytes = bins.astype(np.uint8).take(field.nearest)
-    codes |= (field.distance > NEAR_CELLS) * _NOT_NEAR
-    codes |= ((field.distance > DEEP_CELLS) & (field.depth > DEEP_CELLS)) * _DEEP
-    codes |= (field.depth == NOT_KNOWN) * np.uint8(UNKNOWN)
+    bins = np.floor(field.surface.facing + np.float32(0.5)).astype(np.int32) % DIRECTION_BINS
+    return _sketched(field.nearest, field.distance, field.depth, bins, NOT_KNOWN)
+
+
+@compiled
+def _sketched(nearest: Indices, distance: Bytes, depth: Bytes, bins: Indices, not_known: int) -> Bytes:
+    height, width = nearest.shape
+    codes = np.empty((height, width), np.uint8)
+    for row in range(height):
+        for column in range(width):
+            is_deep = (distance[row, column] > DEEP_CELLS) & (depth[row, column] > DEEP_CELLS)
+            is_unknown = depth[row, column] == not_known
+            code = bins[nearest[row, column]] if distance[row, column] <= NEAR_CELLS else _NOT_NEAR
+            codes[row, column] = code + is_deep * _DEEP + is_unknown * UNKNOWN
     return codes
 
 
-def meetings(codes: Bytes, facing: Floats, turns_rad: Poses) -> npt.NDArray[np.int32]:
-    """(K, N) what N walls that face `facing` (N,), turned by `turns_rad` (K,), meet in cells of `codes` (K, N)."""
-    # Half a turn more makes every bin positive, half a bin more rounds it by cutting it off.
-    turns = np.remainder(turns_rad, 2.0 * np.pi) * (DIRECTION_BINS / (2.0 * np.pi)) + (DIRECTION_BINS / 2 + 0.5)
-    rows = (facing + turns[:, None].astype(np.float32)).astype(np.int32)
-    met: npt.NDArray[np.int32] = _TURNED_MEETINGS.take(rows * NUM_CODES + codes)
-    return met
+def summed_meetings(codes: Bytes, cells: Indices, facing: Floats, turns_rad: Poses) -> Sums:
+    """(K,) sums of what N walls meet in a map of `codes`.
+
+    Args:
+        codes: (H, W).
+        cells: (K, N) flat index of the cell below each.
+        facing: (N,) direction of each, in bins, before it is turned.
+        turns_rad: (K,) by which they are turned.
+    """
+    return _summed(codes.ravel(), cells, facing, np.ascontiguousarray(turns_rad), _TURNED_MEETINGS)
 
 
-def _meetings() -> npt.NDArray[np.int32]:
+def lying_well(codes: Bytes, cells: Indices, shifts: Indices, facing: Floats, turn_rad: float, sizes: Sums) -> Sums:
+    """(S, P) of how many more walls of P parts agree with a map of `codes` than contradict it, at S shifts.
+
+    Args:
+        codes: (H, W).
+        cells: (N,) flat index of the cell below each wall, part by part.
+        shifts: (S,) what is added to them.
+        facing: (N,) direction of each, in bins, before it is turned.
+        turn_rad: By which they are turned.
+        sizes: (P,) walls of each part.
+    """
+    return _shifted(codes.ravel(), cells, shifts, facing, turn_rad, sizes, _LYING_WELL)
+
+
+@compiled
+def _summed(codes: Bytes, cells: Indices, facing: Floats, turns_rad: Poses, table: Indices) -> Sums:
+    sums = np.zeros(len(cells), np.int64)
+    for k in range(len(cells)):
+        turn, total = _turn(turns_rad[k], len(table)), 0
+        for i in range(len(facing)):
+            total += table[int(facing[i] + turn), codes[cells[k, i]]]
+        sums[k] = total
+    return sums
+
+
+@compiled
+def _shifted(
+    codes: Bytes,
+    cells: Indices,
+    shifts: Indices,
+    facing: Floats,
+    turn_rad: float,
+    sizes: Sums,
+    table: npt.NDArray[np.int8],
+) -> Sums:
+    sums = np.zeros((len(shifts), len(sizes)), np.int64)
+    turn = _turn(turn_rad, len(table))
+    rows = np.empty(len(facing), np.int64)
+    for i in range(len(facing)):
+        rows[i] = int(facing[i] + turn)
+    for k in range(len(shifts)):
+        i = 0
+        for part in range(len(sizes)):
+            total = 0
+            for _ in range(sizes[part]):
+                total += table[rows[i], codes[cells[i] + shifts[k]]]
+                i += 1
+            sums[k, part] = total
+    return sums
+
+
+@compiled
+def _turn(turn_rad: float, num_rows: int) -> float:
+    """What is added to a direction in bins to find its row of the table.
+
+    Half a turn more makes every bin positive, half a bin more rounds it by cutting it off.
+    """
+    num_bins = (num_rows - 1) // 2
+    return (turn_rad / (2.0 * math.pi) % 1.0) * num_bins + num_bins / 2 + 0.5
+
+
+def _meetings() -> Indices:
     """(DIRECTION_BINS, NUM_CODES) what a wall that faces into a bin meets in a cell of a code."""
     codes, here = np.arange(NUM_CODES), np.arange(DIRECTION_BINS)[:, None]
     there = codes & _NOT_NEAR
@@ -52,3 +129,5 @@ def _meetings() -> npt.NDArray[np.int32]:
 
 _TURNED_MEETINGS = _meetings().take(np.arange(2 * DIRECTION_BINS + 1) + DIRECTION_BINS // 2, axis=0, mode="wrap")
 """The same for directions to which half a turn was added, none of them reduced to a whole turn."""
+_LYING_WELL = (_TURNED_MEETINGS % CONTRADICTS // AGREES - _TURNED_MEETINGS // CONTRADICTS).astype(np.int8)
+"""The same: 1 where it agrees, -1 where it contradicts."""

@@ -5,12 +5,15 @@ Coordinates are in cells from the grid's corner: the centre of cell (row, col) i
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from mapfusion.compiled import compiled
 from mapfusion.grid import Mask
 
 Floats = npt.NDArray[np.float32]
@@ -24,8 +27,8 @@ ROW_SHARE, MIN_ROW_KNOWN = 0.14, 0.5
 """A cell is of a row where walls make up at least the first of what is known around it, or of the second of all around
 it where less is known. A straight wall of one cell makes up 0.2 there, 0.16 if its cells are moved by a cell and some
 fall together; of 3 % noise, each cell with itself, 0.07 +- 0.02."""
-_AROUND, _SUM_AROUND = (5, 5), 5.0**4
-"""Summed over this twice, what is around has the weights of a Gaussian of 2 cells, nearly."""
+_WEIGHTS = np.convolve(np.ones(5), np.ones(5)) / 25.0
+"""Of the cells around in either direction: those of a Gaussian of 2 cells, nearly."""
 POCKET_CELLS = 12
 """Islands of free space of fewer cells are taken for noise."""
 NORMAL_SIGMA = 1.5
@@ -42,17 +45,19 @@ that is nearest to a circle."""
 MAX_DEPTH = len(_TO_DEPTH) + 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """The rim of the walls: free cells that touch a wall.
 
     Attributes:
         points: (N, 2) float32, x and y in cells.
         normals: (N, 2) float32, unit vectors from the wall into free space.
+        facing: (N,) float32, the direction of each normal, in bins, from -DIRECTION_BINS / 2 to DIRECTION_BINS / 2.
     """
 
     points: Points
     normals: Points
+    facing: Floats
 
     def __len__(self) -> int:
         return len(self.points)
@@ -61,17 +66,15 @@ class Surface:
         """About `count` of the points, spread evenly over their order; all of them where there are fewer."""
         if len(self) <= count:
             return self
-        return self.at(np.arange(count) * (len(self) - 1) // (count - 1))
+        if count not in self._thinned:
+            some = np.arange(count) * (len(self) - 1) // (count - 1)
+            points, normals = (each.take(some, axis=0) for each in (self.points, self.normals))
+            self._thinned[count] = Surface(points, normals, self.facing.take(some))
+        return self._thinned[count]
 
-    def at(self, indices: npt.NDArray[np.intp]) -> Surface:
-        """The points of these indices (K,) alone."""
-        return Surface(self.points.take(indices, axis=0), self.normals.take(indices, axis=0))
-
-    def facing(self) -> Floats:
-        """(N,) direction that each wall faces, in bins, from -DIRECTION_BINS / 2 to DIRECTION_BINS / 2."""
-        angles = np.arctan2(self.normals[:, 1], self.normals[:, 0])
-        bins: Floats = angles * np.float32(DIRECTION_BINS / (2.0 * np.pi))
-        return bins
+    @cached_property
+    def _thinned(self) -> dict[int, Surface]:
+        return {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +83,7 @@ class SurfaceField:
 
     Attributes:
         surface: The surface, at least one point.
-        walls: (4, N) float32, the surface's x, y and its normals' x, y.
+        walls: (N, 4) float32, the surface's x, y and its normals' x, y.
         nearest: (H, W) int32, index into the surface; cell (0, 0) lies FIELD_MARGIN cells outside the map.
         distance: (H, W) uint8, whole cells to it, about; 255 from there on.
         depth: (H, W) uint8, NOT_KNOWN where the map knows neither the cell nor one beside it; else about the distance
@@ -93,16 +96,6 @@ class SurfaceField:
     distance: Bytes
     depth: Bytes
 
-    def cells_below(self, points: Points) -> Indices:
-        """(K, N) flat index of the cell below each of (K, 2, N) points; the field's edge for points outside."""
-        height, width = self.nearest.shape
-        cells = (points + np.float32(FIELD_MARGIN)).astype(np.int32)
-        np.maximum(cells, 0, out=cells)
-        flat: Indices = np.minimum(cells[:, 1], height - 1)
-        flat *= width
-        flat += np.minimum(cells[:, 0], width - 1)
-        return flat
-
 
 def remove_speckle(walls: Mask, known: Mask) -> Mask:
     """The walls (H, W) without noise: islands of fewer than SPECKLE_CELLS cells which other walls do not surround.
@@ -110,25 +103,30 @@ def remove_speckle(walls: Mask, known: Mask) -> Mask:
     A thin wall that noise broke up is a row of such islands; `known` are the map's known cells, its walls among them.
     The walls themselves where no island is so small.
     """
-    _, labels = cv2.connectedComponents(walls.view(np.uint8), connectivity=8)
-    cells = np.flatnonzero(walls)
-    islands = np.asarray(labels, np.int32).ravel().take(cells)
-    is_small = np.bincount(islands, minlength=1) < SPECKLE_CELLS
-    if not is_small[1:].any():  # island 0 is what is not wall
+    small = _small_islands(walls, SPECKLE_CELLS, True)
+    if not len(small):
         return walls
-    small = cells[is_small.take(islands)]
-    wall_around, known_around = (_summed_around(mask.view(np.uint8)).take(small) for mask in (walls, known))
-    is_noise = wall_around < ROW_SHARE * np.maximum(known_around, MIN_ROW_KNOWN * _SUM_AROUND)
+    wall_around, known_around = (_share_around(mask, small) for mask in (walls, known))
+    is_noise = wall_around < ROW_SHARE * np.maximum(known_around, MIN_ROW_KNOWN)
     kept = walls.copy()
     kept.ravel()[small[is_noise]] = False
     return kept
 
 
-def _summed_around(mask: Bytes) -> npt.NDArray[np.uint16]:
-    """(H, W) how many of the cells around each are set, as weighted, of _SUM_AROUND; nothing lies beyond the edge."""
-    near = cv2.boxFilter(mask, cv2.CV_8U, _AROUND, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    around = cv2.boxFilter(near, cv2.CV_16U, _AROUND, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(around, np.uint16)
+@compiled
+def _share_around(mask: Mask, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """(N,) share of a mask (H, W) around some cells, by flat index, as weighted; nothing lies beyond the edge."""
+    height, width = mask.shape
+    shares, reach = np.empty(len(cells)), len(_WEIGHTS) // 2
+    for i in range(len(cells)):
+        row, column = divmod(cells[i], width)
+        total = 0.0
+        for other_row in range(max(row - reach, 0), min(row + reach + 1, height)):
+            for other in range(max(column - reach, 0), min(column + reach + 1, width)):
+                if mask[other_row, other]:
+                    total += _WEIGHTS[other_row - row + reach] * _WEIGHTS[other - column + reach]
+        shares[i] = total
+    return shares
 
 
 def remove_pockets(free: Mask) -> Mask:
@@ -136,15 +134,55 @@ def remove_pockets(free: Mask) -> Mask:
 
     A noisy wall has free cells in and behind it. With their rims it would seem to be seen from both sides.
     """
-    num_islands, labels = cv2.connectedComponents(free.view(np.uint8), connectivity=4)
-    if num_islands <= 2:  # island 0 is what is not free
+    pockets = _small_islands(free, POCKET_CELLS, False)
+    if not len(pockets):
         return free
-    islands = np.asarray(labels, np.int32)
-    is_pocket = np.bincount(islands.ravel(), minlength=1) < POCKET_CELLS
-    if not is_pocket[1:].any():
-        return free
-    kept: Mask = free & ~is_pocket.take(islands)
+    kept = free.copy()
+    kept.ravel()[pockets] = False
     return kept
+
+
+@compiled
+def _small_islands(mask: Mask, least_cells: int, is_diagonal: bool) -> npt.NDArray[np.int64]:
+    """(N,) flat indices of the cells of a mask (H, W) that belong to islands of fewer than `least_cells`.
+
+    An island is followed no further than it takes to know that it is no small one.
+    """
+    height, width = mask.shape
+    unseen, large = 1, 2
+    state = mask.astype(np.uint8)  # 0 once it is known to be small, or is being followed
+    small, number = np.empty(height * width, np.int64), 0
+    found = np.empty(least_cells + 8, np.int64)
+    for row in range(height):
+        for column in range(width):
+            if state[row, column] != unseen:
+                continue
+            is_large = (row > 0 and state[row - 1, column] == large) or (column > 0 and state[row, column - 1] == large)
+            if is_large:
+                state[row, column] = large
+                continue
+            found[0], num_found, next_one = row * width + column, 1, 0
+            state[row, column] = 0
+            while next_one < num_found < least_cells and not is_large:
+                at_row, at_column = found[next_one] // width, found[next_one] % width
+                next_one += 1
+                for other_row in range(max(at_row - 1, 0), min(at_row + 2, height)):
+                    for other_column in range(max(at_column - 1, 0), min(at_column + 2, width)):
+                        if not (is_diagonal or other_row == at_row or other_column == at_column):
+                            continue
+                        is_large |= state[other_row, other_column] == large
+                        if state[other_row, other_column] == unseen:
+                            state[other_row, other_column] = 0
+                            found[num_found] = other_row * width + other_column
+                            num_found += 1
+            is_large |= num_found >= least_cells
+            for k in range(num_found):
+                if is_large:
+                    state[found[k] // width, found[k] % width] = large
+                else:
+                    small[number] = found[k]
+                    number += 1
+    return small[:number].copy()
 
 
 def smooth_walls(walls: Mask, free: Mask) -> Mask:
@@ -170,15 +208,34 @@ def extract_surface(walls: Mask, free: Mask) -> Surface:
     """The rim of `walls` towards `free` (both (H, W) masks), in row-major order."""
     solid = walls.view(np.uint8)
     rim = np.asarray(cv2.dilate(solid, _CROSS), np.uint8).view(np.bool_) & free
-    at = np.flatnonzero(rim)
     blurred = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), NORMAL_SIGMA, borderType=cv2.BORDER_REPLICATE)
-    x, y = (np.asarray(cv2.Sobel(blurred, cv2.CV_32F, *axis), np.float32).ravel().take(at) for axis in ((1, 0), (0, 1)))
-    outwards = np.stack([x, y], axis=-1)
-    outwards /= -np.maximum(np.sqrt(x * x + y * y), np.float32(1e-6))[:, None]
-    rows, cols = np.divmod(at, walls.shape[1])
-    points = np.stack([cols, rows], axis=-1).astype(np.float32)
-    points += np.float32(0.5)
-    return Surface(points, outwards)
+    return Surface(*_downhill(np.flatnonzero(rim), np.asarray(blurred, np.float32), DIRECTION_BINS))
+
+
+@compiled
+def _downhill(cells: npt.NDArray[np.intp], image: Floats, num_bins: int) -> tuple[Points, Points, Floats]:
+    """The centres (N, 2) of some cells of an image (H, W), by flat index, and where it falls there.
+
+    That is a unit vector (N, 2) against Sobel's gradient, and its direction (N,) in bins from -num_bins / 2 to
+    num_bins / 2. What lies beyond the image counts as what lies as far within.
+    """
+    height, width = image.shape
+    points, outwards = np.empty((len(cells), 2), np.float32), np.empty((len(cells), 2), np.float32)
+    facing = np.empty(len(cells), np.float32)
+    for i in range(len(cells)):
+        row, column = divmod(cells[i], width)
+        above, below = abs(row - 1), row + 1 if row + 1 < height else max(row - 1, 0)
+        left, right = abs(column - 1), column + 1 if column + 1 < width else max(column - 1, 0)
+        above, left = min(above, height - 1), min(left, width - 1)
+        x = image[above, right] - image[above, left] + image[below, right] - image[below, left]
+        y = image[below, left] - image[above, left] + image[below, right] - image[above, right]
+        x += 2.0 * (image[row, right] - image[row, left])
+        y += 2.0 * (image[below, column] - image[above, column])
+        steepness = max(math.hypot(x, y), 1e-6)
+        points[i, 0], points[i, 1] = column + 0.5, row + 0.5
+        outwards[i, 0], outwards[i, 1] = -x / steepness, -y / steepness
+        facing[i] = math.atan2(outwards[i, 1], outwards[i, 0]) * num_bins / (2.0 * math.pi)
+    return points, outwards, facing
 
 
 def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
@@ -195,7 +252,7 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
     depth = np.maximum(depth, (near_known == 0) * np.uint8(NOT_KNOWN))
     return SurfaceField(
         surface=surface,
-        walls=np.concatenate([surface.points.T, surface.normals.T]),
+        walls=np.concatenate([surface.points, surface.normals], axis=1),
         nearest=nearest,
         distance=np.asarray(cv2.convertScaleAbs(distance), np.uint8),
         depth=np.asarray(depth, np.uint8),
@@ -212,10 +269,23 @@ def _depth(free: Bytes) -> Bytes:
 
 
 def disc_around(points: Points, shape: tuple[int, ...], radius_cells: int) -> Bytes:
-    """1 at the cells within `radius_cells` of `points` (N, 2), in a map of `shape` and FIELD_MARGIN around it."""
-    across = np.square(np.arange(-radius_cells, radius_cells + 1))
-    disc = (across[:, None] + across <= radius_cells**2).astype(np.uint8)
-    return np.asarray(cv2.dilate(1 - _all_but(points, shape), disc), np.uint8)
+    """1 at the cells within `radius_cells` of `points` (N, 2), in a map of `shape` and FIELD_MARGIN around it.
+
+    What lies beyond the margin counts at its edge.
+    """
+    return _discs(points, shape[0] + 2 * FIELD_MARGIN, shape[1] + 2 * FIELD_MARGIN, radius_cells)
+
+
+@compiled
+def _discs(points: Points, height: int, width: int, radius_cells: int) -> Bytes:
+    near = np.zeros((height, width), np.uint8)
+    for i in range(len(points)):
+        row = min(max(int(points[i, 1] + FIELD_MARGIN), 0), height - 1)
+        column = min(max(int(points[i, 0] + FIELD_MARGIN), 0), width - 1)
+        for other in range(max(row - radius_cells, 0), min(row + radius_cells + 1, height)):
+            half = int(math.sqrt(radius_cells**2 - (other - row) ** 2))
+            near[other, max(column - half, 0) : column + half + 1] = 1
+    return near
 
 
 def _all_but(points: Points, shape: tuple[int, ...]) -> Bytes:

@@ -18,7 +18,6 @@ from mapfusion.pairwise.confidence import (
     Figures,
     confidence,
     fits_better,
-    margin,
 )
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
@@ -125,9 +124,7 @@ def judge(
 
 
 def _margin(finding: Finding) -> float:
-    if not finding.is_searched:
-        return KNOWN_MARGIN
-    return margin(finding.best.figures, None if finding.rival is None else finding.rival.figures)
+    return finding.margin if finding.is_searched else KNOWN_MARGIN
 
 
 def _rival_ratio(finding: Finding) -> float:

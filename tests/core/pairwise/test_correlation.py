@@ -15,7 +15,7 @@ from mapfusion.pairwise import correlation
 from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION, correlate, likely_rotations
 from mapfusion.pairwise.poses import differ, from_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.surface import Surface, SurfaceField
+from mapfusion.pairwise.surface import DIRECTION_BINS, Surface, SurfaceField
 from mapfusion.transform import SE2
 from tests.fakes import grid_of, rooms, seen_from
 
@@ -40,7 +40,8 @@ def facing(degrees: npt.NDArray[np.intp]) -> Surface:
     """Walls that face some directions, wherever they are."""
     angles = np.radians(degrees + 0.5)
     normals = np.stack([np.cos(angles), np.sin(angles)], -1).astype(np.float32)
-    return Surface(np.zeros_like(normals), normals)
+    bins = (angles * DIRECTION_BINS / (2.0 * np.pi)).astype(np.float32)
+    return Surface(np.zeros_like(normals), normals, bins)
 
 
 def test_right_pose_is_among_the_peaks() -> None:

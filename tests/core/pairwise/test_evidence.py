@@ -16,8 +16,7 @@ def weighed(a: Cells, b: Cells, *poses: tuple[float, float, float]) -> Evidence:
 
 
 def test_agreement_at_chance_or_below_is_no_evidence() -> None:
-    n, p = np.array([100.0, 100.0, 100.0]), np.array([0.3, 0.3, 0.3])
-    evidence = against_chance(n, np.array([10.0, 30.0, 80.0]), p)
+    evidence = against_chance(np.full(3, 100.0), np.array([10.0, 30.0, 80.0]), 0.3)
     assert evidence[:2].tolist() == [0.0, 0.0]
     expected = 100.0 * (0.8 * np.log(0.8 / 0.3) + 0.2 * np.log(0.2 / 0.7)) / DEPENDENT_CELLS
     assert evidence[2] == pytest.approx(expected)

@@ -78,6 +78,8 @@ def test_half_a_map_that_was_carried_along_halves_it() -> None:
 )
 def test_few_walls_are_fewer_parts(num_walls: int, num_parts: int) -> None:
     points = np.random.default_rng(0).uniform(0.0, 100.0, (num_walls, 2)).astype(np.float32)
-    parts = _parts(points, np.arange(num_walls))
-    assert len(parts) == num_parts
-    assert sorted(np.concatenate([*parts, np.arange(0)])) == list(range(num_walls if num_parts else 0))
+    ordered, sizes = _parts(points, np.arange(num_walls))
+    assert len(sizes) == num_parts
+    assert sizes.sum() == len(ordered)
+    assert np.ptp(sizes) <= 1 if num_parts else not len(sizes)
+    assert sorted(ordered) == list(range(num_walls if num_parts else 0))

@@ -67,8 +67,8 @@ def test_poses_differ_by_distance_at_the_centre_or_by_rotation() -> None:
     shifted = pose_from_centre(np.zeros(2), centre + np.array([[9.0, 0.0], [11.0, 0.0]]), centre)
     others = np.concatenate([turned, shifted])
     assert differ(base[None], others, centre, 10.0, 5.0).tolist() == [[False, True, False, False, True]]
-    assert distinct(others, centre, 10.0, 5.0, 5) == [0, 2, 4]
-    assert distinct(others, centre, 10.0, 5.0, 2) == [0, 2]
+    assert distinct(others, centre, 10.0, 5.0, 5).tolist() == [0, 2, 4]
+    assert distinct(others, centre, 10.0, 5.0, 2).tolist() == [0, 2]
     assert math.isclose(turned[2, 2], math.radians(358.0))
 
 

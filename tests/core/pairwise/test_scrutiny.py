@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
-from mapfusion.grid import Cells
+from mapfusion.grid import Cells, Mask
 from mapfusion.pairwise.prepared import prepare
-from mapfusion.pairwise.scrutiny import Scrutiny, scrutinise
+from mapfusion.pairwise.scrutiny import Scrutiny, _runs, scrutinise
 from mapfusion.pairwise.surface import SurfaceField
 from tests.fakes import flat, grid_of, rooms
 
@@ -117,3 +121,17 @@ def test_walls_seen_from_the_other_side_are_counted() -> None:
     outside[:3] = outside[-3:] = 0
     assert look(inside, outside).opposite > 0.8
     assert look(inside, inside).opposite == 0.0
+
+
+@settings(deadline=None)
+@given(hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=24), fill=st.just(False)))
+def test_runs_are_walls_connected_over_gaps(mask: Mask) -> None:
+    rows, columns = np.nonzero(mask)
+    points = np.stack([columns, rows], axis=-1).astype(np.float32) + np.float32(0.5)
+    wide = np.pad(mask, 2).view(np.uint8)
+    _, labels = cv2.connectedComponents(cv2.dilate(wide, np.ones((3, 3), np.uint8)), connectivity=8)
+    of_points = labels[2:-2, 2:-2][mask]
+    runs = [points[of_points == label] for label in np.unique(of_points)]
+    expected = sorted((len(run), round(float(np.hypot(*np.ptp(run, axis=0))), 3)) for run in runs)
+    counts, lengths = _runs(points, np.arange(len(points)))
+    assert sorted(zip(counts.tolist(), lengths.round(3).tolist(), strict=True)) == expected

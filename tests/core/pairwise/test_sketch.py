@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, KNOWN, meetings
+from mapfusion.pairwise.sketch import AGREES, CONTRADICTS, KNOWN, lying_well, summed_meetings
 from mapfusion.pairwise.surface import DIRECTION_BINS, FIELD_MARGIN
 from tests.fakes import flat, grid_of
 
@@ -22,11 +22,13 @@ def room() -> PreparedMap:
 
 def met(room: PreparedMap, x: int, y: int, facing_deg: float) -> int:
     """What a wall at a cell of the room, counted from its outermost wall cell, meets there."""
-    codes = room.sketch[y + FIELD_MARGIN, x + FIELD_MARGIN].reshape(1, 1)
-    east = np.zeros(1, np.float32)
-    (turned,), (whole_turn_more,) = (meetings(codes, east, np.radians([facing_deg + more])) for more in (0.0, 360.0))
+    cell = np.array([(y + FIELD_MARGIN) * room.sketch.shape[1] + x + FIELD_MARGIN], np.int32)
+    east, turns_rad = np.zeros(1, np.float32), np.radians([facing_deg, facing_deg + 360.0])
+    turned, whole_turn_more = summed_meetings(room.sketch, cell[None].repeat(2, axis=0), east, turns_rad).tolist()
     assert turned == whole_turn_more
-    return int(turned[0])
+    (well,) = lying_well(room.sketch, cell, np.zeros(1, np.int32), east, turns_rad[0], np.ones(1, np.int64))
+    assert well == turned % CONTRADICTS // AGREES - turned // CONTRADICTS
+    return int(turned)
 
 
 def test_a_wall_agrees_near_a_wall_that_faces_alike(room: PreparedMap) -> None:
@@ -45,6 +47,6 @@ def test_what_is_unknown_says_nothing(room: PreparedMap) -> None:
 
 def test_directions_are_those_of_the_normals(room: PreparedMap) -> None:
     assert room.field is not None
-    facing = room.field.surface.facing() * (2.0 * np.pi / DIRECTION_BINS)
+    facing = room.field.surface.facing * (2.0 * np.pi / DIRECTION_BINS)
     normals = np.stack([np.cos(facing), np.sin(facing)], axis=-1)
     np.testing.assert_allclose(normals, room.field.surface.normals, atol=1e-5)

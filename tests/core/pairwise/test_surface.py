@@ -5,14 +5,20 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from mapfusion.grid import Mask
 from mapfusion.pairwise.prepared import prepare
+from mapfusion.pairwise.refine import cells_below
 from mapfusion.pairwise.surface import (
     FIELD_MARGIN,
     MAX_DEPTH,
     NOT_KNOWN,
+    POCKET_CELLS,
     SPECKLE_CELLS,
+    _small_islands,
     disc_around,
     extract_surface,
     remove_pockets,
@@ -169,16 +175,15 @@ def test_field_names_the_nearest_point_and_the_depth_of_free_space() -> None:
     free[:, 12:40] = True
     surface = extract_surface(walls, free)
     field = surface_field(surface, free, walls | free)
-    points = np.array([[[20.5, 55.5, 9.5], [20.5, 20.5, 20.5]]], np.float32)
-    cells = field.cells_below(points)[0]
+    (cells,) = cells_below(field, np.array([[20.5, 20.5], [55.5, 20.5], [9.5, 20.5]], np.float32), np.zeros((1, 3)))
     np.testing.assert_allclose(surface.points[field.nearest.ravel()[cells]], [[12.5, 20.5]] * 3)
-    rim = field.cells_below(surface.points.T[None])[0]
+    (rim,) = cells_below(field, surface.points, np.zeros((1, 3)))
     assert field.nearest.ravel()[rim].tolist() == list(range(len(surface)))
     depth = field.depth.ravel()[cells]
     assert depth[0] == pytest.approx(9, abs=1)
     assert depth[1] == NOT_KNOWN
-    outside = np.array([[[-1e6, 1e6], [1e6, -1e6]]], np.float32)
-    assert (field.depth.ravel()[field.cells_below(outside)] == NOT_KNOWN).all()
+    outside = np.array([[-1e6, 1e6], [1e6, -1e6]], np.float32)
+    assert (field.depth.ravel()[cells_below(field, outside, np.zeros((1, 3)))] == NOT_KNOWN).all()
     assert field.nearest.shape == (40 + 2 * FIELD_MARGIN, 60 + 2 * FIELD_MARGIN)
 
 
@@ -208,3 +213,13 @@ def test_depth_agrees_with_the_distance_transform() -> None:
     off = np.abs(field.depth[inside, inside] - np.minimum(distance, MAX_DEPTH))
     assert off.max() <= 1.3
     assert off.mean() <= 0.5
+
+
+@settings(deadline=None)
+@given(hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12)), st.booleans())
+def test_small_islands_are_those_of_few_connected_cells(mask: Mask, is_diagonal: bool) -> None:
+    least_cells = SPECKLE_CELLS if is_diagonal else POCKET_CELLS
+    _, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8 if is_diagonal else 4)
+    is_small = np.bincount(labels.ravel()) < least_cells
+    is_small[0] = False
+    assert sorted(_small_islands(mask, least_cells, is_diagonal)) == np.flatnonzero(is_small[labels]).tolist()
