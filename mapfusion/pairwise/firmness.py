@@ -6,6 +6,8 @@ as well, or better, some cells away. Of a right pose most parts that are no stra
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +17,12 @@ from mapfusion.pairwise.poses import Poses, inverse
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import cells_below
 from mapfusion.pairwise.sketch import UNKNOWN, lying_well
-from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Points
+from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Indices, Points
 
 NUM_HALVINGS = 4
 """A map's walls are halved so often: 16 parts."""
+NUM_CUTS = 4
+"""So many ways to cut a map into parts, along axes turned against each other: where cuts fall decides much of one."""
 MIN_PART_POINTS = 12
 """Fewer walls are no part of their own: a map with few is halved less often."""
 MAX_POINTS = 768
@@ -55,22 +59,23 @@ def _one_way(there: PreparedMap, here: PreparedMap, pose: Poses) -> tuple[float,
     cells = cells_below(there.field, surface.points, pose[None])[0]
     known = np.flatnonzero(there.field.depth.ravel().take(cells) != NOT_KNOWN)
     number = min(len(known), MAX_POINTS)
-    chosen, sizes = _parts(surface.points, known[np.arange(number) * len(known) // max(number, 1)])
-    if not len(sizes):
+    if number < MIN_PART_POINTS:
         return 0.0, len(known)
+    chosen = known[np.arange(number) * len(known) // number]
     codes = _with_unknown_around(there.sketch)
     width = codes.shape[1]
     rows, columns = np.divmod(cells.take(chosen), there.sketch.shape[1])
-    lies_well = lying_well(
+    well = lying_well(
         codes,
         (rows + MAX_SHIFT_CELLS) * width + columns + MAX_SHIFT_CELLS,
         _SHIFTS[:, 1] * width + _SHIFTS[:, 0],
         surface.facing.take(chosen),
-        pose[2],
-        sizes,
+        float(pose[2]),
     )
-    lead = lies_well[_LENGTH <= STAYS_CELLS].max(axis=0) - lies_well[_LENGTH >= ELSEWHERE_CELLS].max(axis=0)
-    return float(sizes[lead > MIN_LEAD * sizes].sum() * len(known) / number), len(known)
+    points = surface.points.take(chosen, axis=0)
+    parts = [_parts(points, 0.5 * math.pi * cut / NUM_CUTS) for cut in range(NUM_CUTS)]
+    staying = sum(_num_staying(well, _LENGTH, *of_cut) for of_cut in parts)
+    return staying / NUM_CUTS * len(known) / number, len(known)
 
 
 def _with_unknown_around(codes: Bytes) -> Bytes:
@@ -79,14 +84,48 @@ def _with_unknown_around(codes: Bytes) -> Bytes:
 
 
 @compiled
-def _parts(points: Points, chosen: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int64]]:
-    """The chosen (N,) of some points (M, 2), part by part, and how many belong to each part (P,).
+def _num_staying(
+    well: npt.NDArray[np.int8],
+    length_cells: Indices,
+    ordered: npt.NDArray[np.int64],
+    sizes: npt.NDArray[np.int64],
+) -> int:
+    """How many of N walls belong to parts that lie better where they are than elsewhere.
 
-    Parts are halved across their longer side again and again. Fewer than MIN_PART_POINTS are none.
+    Args:
+        well: (N, S) as `lying_well` gives it.
+        length_cells: (S,) of each shift.
+        ordered: (N,) walls, part by part.
+        sizes: (P,) walls of each part.
     """
-    ordered, ends = chosen.copy(), np.array([0, len(chosen)])
-    if len(chosen) < MIN_PART_POINTS:
-        return ordered[:0], ends[:0]
+    staying, first = 0, 0
+    total = np.empty(len(length_cells), np.int32)
+    for size in sizes:
+        total[:] = 0
+        for i in range(first, first + size):
+            of_wall = well[ordered[i]]
+            for k in range(len(total)):
+                total[k] = np.int32(total[k] + of_wall[k])
+        here, elsewhere = -size, -size
+        for k in range(len(total)):
+            if length_cells[k] <= STAYS_CELLS:
+                here = max(here, total[k])
+            elif length_cells[k] >= ELSEWHERE_CELLS:
+                elsewhere = max(elsewhere, total[k])
+        if here - elsewhere > MIN_LEAD * size:
+            staying += size
+        first += size
+    return staying
+
+
+@compiled
+def _parts(points: Points, turn_rad: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Some points (N, 2), at least MIN_PART_POINTS, part by part, by index (N,), and how many there are in each (P,).
+
+    Parts are halved across their longer side again and again, seen along axes turned by `turn_rad`.
+    """
+    ordered, ends = np.arange(len(points)), np.array([0, len(points)])
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
     for _ in range(NUM_HALVINGS):
         sizes = ends[1:] - ends[:-1]
         if sizes.min() < 2 * MIN_PART_POINTS:
@@ -97,7 +136,8 @@ def _parts(points: Points, chosen: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np
             part = ordered[ends[k] : ends[k + 1]]
             x, y = np.empty(len(part)), np.empty(len(part))
             for i in range(len(part)):
-                x[i], y[i] = points[part[i], 0], points[part[i], 1]
+                point = points[part[i]]
+                x[i], y[i] = c * point[0] + s * point[1], c * point[1] - s * point[0]
             along = x if x.max() - x.min() >= y.max() - y.min() else y
             part[:] = part[np.argsort(along, kind="mergesort")]
             halves[2 * k + 1] = ends[k] + len(part) // 2

@@ -56,18 +56,17 @@ def summed_meetings(codes: Bytes, cells: Indices, facing: Floats, turns_rad: Pos
     return _summed(codes.ravel(), cells, facing, np.ascontiguousarray(turns_rad), _TURNED_MEETINGS)
 
 
-def lying_well(codes: Bytes, cells: Indices, shifts: Indices, facing: Floats, turn_rad: float, sizes: Sums) -> Sums:
-    """(S, P) of how many more walls of P parts agree with a map of `codes` than contradict it, at S shifts.
+def lying_well(codes: Bytes, cells: Indices, shifts: Indices, facing: Floats, turn_rad: float) -> npt.NDArray[np.int8]:
+    """(N, S) of N walls, at S shifts: 1 where one agrees with a map of `codes`, -1 where it contradicts it, else 0.
 
     Args:
         codes: (H, W).
-        cells: (N,) flat index of the cell below each wall, part by part.
+        cells: (N,) flat index of the cell below each wall.
         shifts: (S,) what is added to them.
         facing: (N,) direction of each, in bins, before it is turned.
         turn_rad: By which they are turned.
-        sizes: (P,) walls of each part.
     """
-    return _shifted(codes.ravel(), cells, shifts, facing, turn_rad, sizes, _LYING_WELL)
+    return _shifted(codes.ravel(), cells, shifts, facing, turn_rad, _LYING_WELL)
 
 
 @compiled
@@ -88,23 +87,15 @@ def _shifted(
     shifts: Indices,
     facing: Floats,
     turn_rad: float,
-    sizes: Sums,
     table: npt.NDArray[np.int8],
-) -> Sums:
-    sums = np.zeros((len(shifts), len(sizes)), np.int64)
+) -> npt.NDArray[np.int8]:
+    well = np.empty((len(facing), len(shifts)), np.int8)
     turn = _turn(turn_rad, len(table))
-    rows = np.empty(len(facing), np.int64)
     for i in range(len(facing)):
-        rows[i] = int(facing[i] + turn)
-    for k in range(len(shifts)):
-        i = 0
-        for part in range(len(sizes)):
-            total = 0
-            for _ in range(sizes[part]):
-                total += table[rows[i], codes[cells[i] + shifts[k]]]
-                i += 1
-            sums[k, part] = total
-    return sums
+        row = table[int(facing[i] + turn)]
+        for k in range(len(shifts)):
+            well[i, k] = row[codes[cells[i] + shifts[k]]]
+    return well
 
 
 @compiled

@@ -26,7 +26,7 @@ def met(room: PreparedMap, x: int, y: int, facing_deg: float) -> int:
     east, turns_rad = np.zeros(1, np.float32), np.radians([facing_deg, facing_deg + 360.0])
     turned, whole_turn_more = summed_meetings(room.sketch, cell[None].repeat(2, axis=0), east, turns_rad).tolist()
     assert turned == whole_turn_more
-    (well,) = lying_well(room.sketch, cell, np.zeros(1, np.int32), east, turns_rad[0], np.ones(1, np.int64))
+    ((well,),) = lying_well(room.sketch, cell, np.zeros(1, np.int32), east, float(turns_rad[0])).tolist()
     assert well == turned % CONTRADICTS // AGREES - turned // CONTRADICTS
     return int(turned)
 
