@@ -1,9 +1,10 @@
 """Inner loops, compiled to machine code when they are first called.
 
 What numpy would do in dozens of passes over small arrays takes one here. The code is kept beside the module, or in the
-user's cache folder, so that only the first process on a machine compiles; where neither can be written to, each does.
+user's cache folder, so that only the first process on a machine compiles; where there is no such place, each does.
 Kept code follows changes of its own file only: a compiled function may call functions and read names of its own module
-and of numpy and math, nothing else.
+and of numpy and math, nothing else, and constants that it reads must not be made of others' either. Whoever changes how
+functions are compiled, below, deletes what is kept.
 """
 
 from __future__ import annotations

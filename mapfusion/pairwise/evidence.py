@@ -147,7 +147,8 @@ def _direction(there: PreparedMap, here: PreparedMap, poses: Poses, num_points: 
         here.area,
         poses,
     )
-    return _Direction(*_scaled(walls, area, len(here.field.surface) / len(surface), here.cells_per_area_sample))
+    cells_per_wall = len(here.field.surface) / len(surface)
+    return _Direction(*_scaled(walls, area, FACING_ALIKE, cells_per_wall, here.cells_per_area_sample))
 
 
 _Walls = tuple[Figures, Figures, Figures, Figures, Figures, Figures]
@@ -305,7 +306,7 @@ def _accumulate(nears: Figures, deeps: Figures, near: Figures, deep: Figures) ->
 
 @compiled
 def _scaled(
-    walls: _Walls, area: _Area, cells_per_wall: float, cells_per_area_sample: float
+    walls: _Walls, area: _Area, facing_alike: Figures, cells_per_wall: float, cells_per_area_sample: float
 ) -> tuple[Figures, Figures, Figures, Figures, Figures, Figures, Figures, Figures]:
     """The fields of a _Direction, from what was counted and how many cells each of what was counted stands for."""
     known, agreeing, deep, bins, squares, scatter = walls
@@ -316,7 +317,7 @@ def _scaled(
         alike = 0.0
         for one in range(bins.shape[1]):
             for other in range(bins.shape[1]):
-                alike += FACING_ALIKE[one, other] * bins[k, one] * area_bins[k, other]
+                alike += facing_alike[one, other] * bins[k, one] * area_bins[k, other]
         alike /= max(bins[k].sum(), 1.0) * max(area_bins[k].sum(), 1.0)
         for t in range(chance.shape[1]):
             chance[k, t] = area_near[k, t] * alike / max(area_known[k], 1.0)

@@ -85,7 +85,7 @@ def _counted(depth: Bytes, not_known: int, near: Bytes, cells: Indices) -> tuple
     for cell in cells[0]:
         if depth[cell] != not_known:
             num_known += 1
-            num_near += near[cell]
+            num_near += int(near[cell])
     return num_known, num_near
 
 

@@ -28,15 +28,9 @@ def rotations(poses: Poses) -> npt.NDArray[np.float32]:
     return R
 
 
-def turned(R: Points, vectors: Points) -> Points:
-    """(K, 2, N): the vectors (N, 2) turned by each of R (K, 2, 2)."""
-    result: Points = R @ np.ascontiguousarray(vectors.T)  # several times as fast as with the transpose as it is
-    return result
-
-
 def moved(poses: Poses, points: Points) -> Points:
     """(K, 2, N): the points (N, 2) under each pose."""
-    result: Points = turned(rotations(poses), points)
+    result: Points = rotations(poses) @ points.T
     result += poses[:, :2, None].astype(np.float32)
     return result
 

@@ -103,11 +103,12 @@ def _land(
 ) -> None:
     """Writes to `cells` (N,) in which cell of a field each point lands, moved by x and y, turned by cosine and sine."""
     x, y, c, s = move
-    # Cut off before they are made whole, and held to 32 bits, several points go through the loop at once.
+    # Cut off before they are made whole, and held to 32 bits, several points go through the loop at once. What is no
+    # number becomes 0, the first of the two.
     last_row, last_column, cells_per_row = shape[0] - 1.0, shape[1] - 1.0, np.int32(shape[1])
     for i in range(len(xs)):
-        row = np.int32(min(max(s * xs[i] + c * ys[i] + y + margin, 0.0), last_row))
-        column = np.int32(min(max(c * xs[i] - s * ys[i] + x + margin, 0.0), last_column))
+        row = np.int32(min(max(0.0, s * xs[i] + c * ys[i] + y + margin), last_row))
+        column = np.int32(min(max(0.0, c * xs[i] - s * ys[i] + x + margin), last_column))
         cells[i] = np.int32(row * cells_per_row + column)
 
 

@@ -105,7 +105,8 @@ def _turn(turn_rad: float, num_rows: int) -> float:
     Half a turn more makes every bin positive, half a bin more rounds it by cutting it off.
     """
     num_bins = (num_rows - 1) // 2
-    return (turn_rad / (2.0 * math.pi) % 1.0) * num_bins + num_bins / 2 + 0.5
+    turns = turn_rad / (2.0 * math.pi) % 1.0 if math.isfinite(turn_rad) else 0.0
+    return turns * num_bins + num_bins / 2 + 0.5
 
 
 def _meetings() -> Indices:

@@ -19,15 +19,16 @@ from mapfusion.pairwise.poses import Poses, pose_from_centre
 NUM_NEIGHBOURS = 3
 """Repeated corners look alike: the right partner need not be the nearest."""
 MAX_DISTANCE_BITS = 80
-ONE, TWO, FOUR, TOP_BYTE = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
-ALTERNATE_BITS, ALTERNATE_PAIRS = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333)
-ALTERNATE_FOURS, EACH_BYTE = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101)
+_ONE, _TWO, _FOUR, _TOP_BYTE = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
+_ALTERNATE_BITS, _ALTERNATE_PAIRS = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333)
+_ALTERNATE_FOURS, _EACH_BYTE = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101)
 Words = npt.NDArray[np.uint64]
 ANGLE_BINS = 60
 POSITION_BIN = 16.0
 """Edge of a bin of the centre's position, cells."""
-HASH_FACTOR = 0x9E3779B97F4A7C1
-"""Spreads keys of bins over a table."""
+_HASH_FACTOR = 0x1E3779B97F4A7C15
+"""Spreads keys of bins over a table: 2^64 over the golden ratio, as far as it is positive in 64 bits.
+Source: Knuth, The Art of Computer Programming 3, section 6.4."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +90,10 @@ def _neighbours(some: Words, others: Words) -> npt.NDArray[np.int64]:
 @compiled
 def _num_bits(word: np.uint64) -> int:
     """How many bits of 64 are set; one instruction. Source: Warren, Hacker's Delight, figure 5-2."""
-    word -= word >> ONE & ALTERNATE_BITS
-    word = (word & ALTERNATE_PAIRS) + (word >> TWO & ALTERNATE_PAIRS)
-    word = word + (word >> FOUR) & ALTERNATE_FOURS
-    return int(word * EACH_BYTE >> TOP_BYTE)
+    word -= word >> _ONE & _ALTERNATE_BITS
+    word = (word & _ALTERNATE_PAIRS) + (word >> _TWO & _ALTERNATE_PAIRS)
+    word = word + (word >> _FOUR) & _ALTERNATE_FOURS
+    return int(word * _EACH_BYTE >> _TOP_BYTE)
 
 
 @compiled
@@ -155,7 +156,7 @@ def _cast(theta: Poses, centres: Poses, corner: Poses) -> tuple[Poses, npt.NDArr
             da, dx, dy = which >> 2, which >> 1 & 1, which & 1
             share = abs(1 - da - (turn - first_a)) * abs(1 - dx - (at_x - first_x)) * abs(1 - dy - (at_y - first_y))
             key = (int(first_x + dx) << 32 | int(first_y + dy)) * ANGLE_BINS + int(first_a + da) % ANGLE_BINS
-            slot = (key * HASH_FACTOR >> 16) & size - 1
+            slot = (key * _HASH_FACTOR >> 16) & size - 1
             while keys[slot] >= 0 and keys[slot] != key:
                 slot = slot + 1 & size - 1
             if keys[slot] < 0:

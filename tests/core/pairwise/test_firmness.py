@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mapfusion.grid import Cells
-from mapfusion.pairwise.firmness import _parts, firmness
+from mapfusion.pairwise.firmness import MIN_PART_POINTS, _parts, firmness
 from mapfusion.pairwise.poses import inverse
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from tests.fakes import flat, grid_of, rooms
@@ -47,6 +47,14 @@ def test_parts_of_a_corridor_slide() -> None:
 def test_nothing_stays_where_maps_do_not_meet() -> None:
     place = prepared(rooms(seed=3))
     assert firmness(place, place, np.array([1000.0, 0.0, 0.0])) == 0.0
+
+
+def test_few_walls_in_common_are_no_part() -> None:
+    hall = flat(60, 60, 0)
+    hall[30, 28:32] = hall[31, 28] = 100
+    place = prepared(hall)
+    assert 0 < place.num_walls < MIN_PART_POINTS
+    assert firmness(place, place, AS_IT_IS) == 0.0
 
 
 def test_exchanging_the_maps_changes_nothing() -> None:

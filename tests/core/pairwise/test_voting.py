@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +10,6 @@ import pytest
 from mapfusion.pairwise.features import Features, detect
 from mapfusion.pairwise.poses import moved
 from mapfusion.pairwise.voting import MAX_DISTANCE_BITS, NUM_NEIGHBOURS, match, vote
-
-POWERS = (1 << np.arange(8)).astype(np.uint8)
 
 
 def features(points: np.ndarray, angles: np.ndarray, seed: int = 0) -> Features:
@@ -71,23 +68,3 @@ def test_keypoints_are_counted_from_the_corner_of_the_map() -> None:
     corners = np.array([[60.0, 40.0], [110.0, 40.0], [60.0, 80.0], [110.0, 80.0]])
     away = np.linalg.norm(points[:, None] - corners[None], axis=-1)
     assert (away.min(axis=0) < 4.0).all()
-
-
-@pytest.mark.parametrize(("num_source", "num_target"), [(1, 1), (1, 7), (7, 1), (40, 60)])
-def test_matches_are_the_nearest_of_each_side(num_source: int, num_target: int) -> None:
-    rng = np.random.default_rng(num_source)
-    like = np.zeros(32, np.uint8)
-    target, source = (
-        replace(features(np.zeros((n, 2)), np.zeros(n)), descriptors=like ^ (rng.random((n, 32, 8)) < 0.15) @ POWERS)
-        for n in (num_target, num_source)
-    )
-    bits = np.bitwise_count(source.descriptors[:, None] ^ target.descriptors).sum(axis=-1, dtype=np.int64)
-    expected = set()
-    for i, j in np.ndindex(bits.shape):
-        before_in_row = np.count_nonzero(bits[i] < bits[i, j]) + np.count_nonzero(bits[i, :j] == bits[i, j])
-        before_in_column = np.count_nonzero(bits[:, j] < bits[i, j]) + np.count_nonzero(bits[:i, j] == bits[i, j])
-        if bits[i, j] <= MAX_DISTANCE_BITS and min(before_in_row, before_in_column) < NUM_NEIGHBOURS:
-            expected.add((j, i))
-    found = match(target, source)
-    assert set(zip(found.target.tolist(), found.source.tolist(), strict=True)) == expected
-    assert len(found) == len(expected)
