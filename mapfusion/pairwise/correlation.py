@@ -12,6 +12,7 @@ Sources: orientation correlation, Fitch et al., BMVC 2002; the Hough spectrum, C
 from __future__ import annotations
 
 import math
+from functools import cache
 from itertools import product
 
 import cv2
@@ -98,8 +99,7 @@ def correlate(target: SurfaceField, source: SurfaceField, centre: Poses, rotatio
     for turn, start in zip(R, starts, strict=True):
         _draw(images, arms, here.normals, deep_arms, turn, start, float(stride))
         agreeing, contradicting = (_correlation(*both) for both in zip(of_target, images, strict=True))
-        left = np.subtract(agreeing, contradicting, out=contradicting)
-        for score in (agreeing, left):
+        for score in _scores(agreeing, contradicting):
             peaks += _peaks(score)
     of_rotation = np.arange(len(rotations)).repeat(len(peaks) // len(rotations))
     of_peak, shift = _unwrapped(np.array(peaks), (high - low) / stride, extents[of_rotation] / stride, (width, height))
@@ -196,9 +196,13 @@ def _per_degree(angles_rad: Places) -> npt.NDArray[np.float64]:
 
 def _blurred(per_degree: npt.NDArray[np.float64], sigma_degrees: float) -> npt.NDArray[np.float64]:
     """(360,) sums over a Gaussian around each degree, of height 1."""
+    return np.fft.irfft(np.fft.rfft(per_degree) * _spectrum_of_gaussian(sigma_degrees), 360)
+
+
+@cache
+def _spectrum_of_gaussian(sigma_degrees: float) -> npt.NDArray[np.complex128]:
     away = np.minimum(np.arange(360), 360 - np.arange(360))
-    kernel = np.exp(-0.5 * np.square(away / sigma_degrees))
-    return np.fft.irfft(np.fft.rfft(per_degree) * np.fft.rfft(kernel), 360)
+    return np.fft.rfft(np.exp(-0.5 * np.square(away / sigma_degrees)))
 
 
 def _deep(field: SurfaceField) -> Points:
@@ -272,14 +276,26 @@ def _spectrum(image: Floats) -> npt.NDArray[np.complex64]:
 
 
 def _correlation(conjugate: npt.NDArray[np.complex64], image: Floats) -> Floats:
-    """(H, W) sum of both channels' cross-correlations, of one image with two channels given as its conjugate spectrum.
+    """(H, W, 2) whose first channel is the sum of both channels' cross-correlations; one image is a conjugate spectrum.
 
     The real part of the correlation of complex numbers adds those of their real and of their imaginary parts, and the
     transform of a conjugate is the conjugate of the inverse transform.
     """
     product = _spectrum(image)
     product *= conjugate
-    return np.asarray(cv2.extractChannel(cv2.dft(product.view(np.float32).reshape(image.shape)), 0), np.float32)
+    return np.asarray(cv2.dft(product.view(np.float32).reshape(image.shape)), np.float32)
+
+
+@compiled
+def _scores(agreeing: Floats, contradicting: Floats) -> Floats:
+    """(2, H, W) the first channel of one correlation (H, W, 2), and what is left of it less that of another."""
+    height, width = agreeing.shape[:2]
+    scores = np.empty((2, height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            scores[0, row, column] = agreeing[row, column, 0]
+            scores[1, row, column] = agreeing[row, column, 0] - contradicting[row, column, 0]
+    return scores
 
 
 def _peaks(score: Floats) -> list[tuple[int, int]]:

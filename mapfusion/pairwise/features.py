@@ -54,6 +54,6 @@ def detect(walls: Mask) -> Features:
     keypoints, descriptors = orb.detectAndCompute(cv2.GaussianBlur(image, (0, 0), BLUR_SIGMA), None)
     if not keypoints:
         return Features(np.zeros((0, 2), np.float32), np.zeros(0, np.float32), np.zeros((0, 32), np.uint8))
-    points = np.array([k.pt for k in keypoints], np.float32) - np.float32(BORDER - 0.5)
+    points = np.asarray(cv2.KeyPoint.convert(keypoints), np.float32) - np.float32(BORDER - 0.5)
     angles = np.radians(np.array([k.angle for k in keypoints], np.float32))
     return Features(points, angles, descriptors.astype(np.uint8, copy=False))

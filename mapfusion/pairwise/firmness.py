@@ -124,22 +124,36 @@ def _parts(points: Points, turn_rad: float) -> tuple[npt.NDArray[np.int64], npt.
 
     Parts are halved across their longer side again and again, seen along axes turned by `turn_rad`.
     """
-    ordered, ends = np.arange(len(points)), np.array([0, len(points)])
-    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    number, c, s = len(points), math.cos(turn_rad), math.sin(turn_rad)
+    along, ordered, moved = np.empty((2, number)), np.empty((2, number), np.int64), np.empty(number, np.int64)
+    for i in range(number):
+        along[0, i], along[1, i] = c * points[i, 0] + s * points[i, 1], c * points[i, 1] - s * points[i, 0]
+    for axis in range(2):
+        ordered[axis] = np.argsort(along[axis], kind="mergesort")
+    ends, is_beyond = np.array([0, number]), np.zeros(number, np.bool_)
     for _ in range(NUM_HALVINGS):
-        sizes = ends[1:] - ends[:-1]
-        if sizes.min() < 2 * MIN_PART_POINTS:
+        if (ends[1:] - ends[:-1]).min() < 2 * MIN_PART_POINTS:
             break
-        halves = np.empty(2 * len(sizes) + 1, np.int64)
+        halves = np.empty(2 * len(ends) - 1, np.int64)
         halves[::2] = ends
-        for k in range(len(sizes)):
-            part = ordered[ends[k] : ends[k + 1]]
-            x, y = np.empty(len(part)), np.empty(len(part))
-            for i in range(len(part)):
-                point = points[part[i]]
-                x[i], y[i] = c * point[0] + s * point[1], c * point[1] - s * point[0]
-            along = x if x.max() - x.min() >= y.max() - y.min() else y
-            part[:] = part[np.argsort(along, kind="mergesort")]
-            halves[2 * k + 1] = ends[k] + len(part) // 2
+        for k in range(len(ends) - 1):
+            first, middle, last = ends[k], (ends[k] + ends[k + 1]) // 2, ends[k + 1]
+            width, height = along[0, ordered[0, last - 1]], along[1, ordered[1, last - 1]]
+            width, height = width - along[0, ordered[0, first]], height - along[1, ordered[1, first]]
+            across = ordered[0] if width >= height else ordered[1]
+            for i in range(first, last):
+                is_beyond[across[i]] = i >= middle
+            # Both orders stay sorted within each half.
+            for axis in range(2):
+                below, beyond = first, middle
+                for i in range(first, last):
+                    if is_beyond[ordered[axis, i]]:
+                        moved[beyond] = ordered[axis, i]
+                        beyond += 1
+                    else:
+                        moved[below] = ordered[axis, i]
+                        below += 1
+                ordered[axis, first:last] = moved[first:last]
+            halves[2 * k + 1] = middle
         ends = halves
-    return ordered, ends[1:] - ends[:-1]
+    return ordered[0].copy(), ends[1:] - ends[:-1]
