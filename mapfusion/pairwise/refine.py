@@ -174,7 +174,7 @@ def _refined(
             move = x, y, c, s
             _land(xs, ys, move, target[0].shape, margin, cells)
             there = _attracted(target[0].ravel(), target[1], cells, xs, ys, source[3], move, reaches[step])
-            # The other way round it is the centre that lies at (centre_x, centre_y).
+            # The inverse: where the target's corner lies in the source, whose own corner points are counted from.
             at = centre[0] - c * x - s * y, centre[1] + s * x - c * y, c, -s
             _land(target_xs, target_ys, at, source[0].shape, margin, cells)
             back = _attracted_back(

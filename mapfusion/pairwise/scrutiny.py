@@ -92,9 +92,10 @@ class _Look(NamedTuple):
 
 def _look(field: SurfaceField, surface: Surface, pose: Poses, tolerance_cells: float) -> _Look:
     found = encounters(field, surface, pose[None])
+    depth = field.depth.ravel().take(found.cells[0])
     figures = _looked_at(
-        field.depth.ravel().take(found.cells[0]) != NOT_KNOWN,
-        field.depth.ravel().take(found.cells[0]),
+        depth != NOT_KNOWN,
+        depth,
         found.squared[0],
         found.cosine[0],
         SAME_SIDE_COSINE,
