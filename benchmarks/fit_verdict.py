@@ -36,21 +36,19 @@ from mapfusion.grid import Cells, OccupancyGrid
 from mapfusion.pairwise import search
 from mapfusion.pairwise.confidence import (
     CONFIDENCE,
+    MIN_CONFIDENCE,
     PLAUSIBILITY,
     confidence_terms,
     margin,
     plausibility_terms,
 )
 from mapfusion.pairwise.default import prepare
+from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.poses import Poses, between_frames, differ
 from mapfusion.pairwise.verdict import (
     MIN_MARGIN,
     MIN_RATIO,
     SLIDING_MARGIN,
-    are_few_things,
-    is_adrift,
-    least_confidence,
-    least_evidence,
     too_little,
 )
 from mapfusion.pairwise.voting import match
@@ -377,11 +375,9 @@ def report(all_judged: Sequence[Judged]) -> None:
         weights = fit_confidence(terms[kept], right[kept], fits[kept])
         sure[held] = 1.0 / (1.0 + np.exp(-(terms[held] @ weights)))
     best = [one.figures[0] for one in all_judged]
-    joined = sure >= np.array([least_confidence(f) for f in best])
-    least = np.array([least_evidence(f, trust) for f, trust in zip(best, sure, strict=True)])
-    joined &= np.array([f["net"] for f in best]) >= least
+    joined = sure >= MIN_CONFIDENCE
+    joined &= np.array([f["net"] for f in best]) >= MIN_EVIDENCE
     joined &= np.array([f["ratio"] for f in best]) >= MIN_RATIO
-    joined &= np.array([not are_few_things(f) and not is_adrift(f) for f in best])
     sliding = np.array([figures["conditioning"] < search.SLIDING_CONDITIONING for figures in best])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)
     rows: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])

@@ -13,14 +13,16 @@ from collections.abc import Mapping
 Figures = Mapping[str, float]
 
 PLAUSIBILITY = {
-    "net": 1.165,
-    "crossing": -0.936,
-    "run": -0.619,
-    "lines": 2.574,
-    "gain": 1.715,
-    "inliers_wide": 0.791,
-    "keypoints": 1.037,
-    "inliers_near": 0.989,
+    "net": 0.771,
+    "crossing": -0.547,
+    "run": -0.367,
+    "lines": 2.24,
+    "gain": 1.985,
+    "inliers_wide": 0.495,
+    "keypoints": 1.016,
+    "inliers_near": 0.635,
+    "behind": -0.945,
+    "far_behind": -0.733,
 }
 """Weights that choose the right one among the candidates of a pair. Source: conditional logit, McFadden 1974."""
 
@@ -39,6 +41,8 @@ CONFIDENCE = {
     "firm": 8.174,
     "rigid": 2.0,
     "close": 3.0,
+    "behind": -0.3,
+    "far_behind": -0.2,
 }
 """Weights of the logistic model of how probable it is that the best alignment of a pair is right. Those of `rigid` and
 `close` are a quarter and half of what is fitted: hardly any wrong alignment of those pairs holds them down, but others
@@ -60,8 +64,14 @@ MAX_MARGIN = 4.0
 BEHIND_SHARE, BEHIND_WEIGHT = 0.5, 3.0
 """A rival with less than the first of the best one's evidence falls behind by the second for each natural logarithm,
 down to MAX_RANKED_NET: below that, plausibility sees it."""
-FIT = ("crossing", "run", "gain", "keypoints")
+FIT = ("crossing", "run", "gain", "keypoints", "behind", "far_behind")
 """Terms of the plausibility that hardly grow with the area in common."""
+USUAL_BEHIND, LEAST_BEHIND = 0.02, 0.003
+"""As much free space of one map behind the other's walls speaks neither for nor against a pose; less than the second
+tells no more."""
+LOOSE_TOLERANCE_CELLS, LOOSE_WEIGHT = 3.0, 0.5
+"""Of walls that agree within more than the first only, those of bent maps, what lies behind counts by the second: their
+walls stand in front of each other anyway."""
 BETTER_FIT = 0.5
 """A rival that is sure enough alone and fits better than the best pose by more than this may well be right: a place
 that repeats itself may have more in common where it does not belong."""
@@ -95,6 +105,8 @@ def plausibility_terms(figures: Figures) -> dict[str, float]:
         "inliers_wide": math.log(min(figures["inliers_wide"], MAX_RANKED_WIDE) + WIDE_BY_CHANCE),
         "keypoints": figures["keypoints"],
         "inliers_near": math.log(min(figures["inliers_near"], MAX_RANKED_NEAR) + NEAR_BY_CHANCE),
+        "behind": _log_behind(figures, "behind"),
+        "far_behind": _log_behind(figures, "far_behind"),
     }
 
 
@@ -161,6 +173,8 @@ def confidence_terms(figures: Figures, above_rival: float) -> dict[str, float]:
         "firm": min(max(figures.get("firmness", KNOWN_FIRMNESS), MIN_FIRMNESS), most_firmness),
         "rigid": rigidity(figures),
         "close": closeness(figures),
+        "behind": _log_behind(figures, "behind"),
+        "far_behind": _log_behind(figures, "far_behind"),
     }
 
 
@@ -205,6 +219,12 @@ def _log(value: float) -> float:
 
 def _log_crossing(figures: Figures) -> float:
     return math.log(figures["crossing"] + 0.01)
+
+
+def _log_behind(figures: Figures, strip: str) -> float:
+    """Logarithm of how much more is seen in a strip behind walls than USUAL_BEHIND; LOOSE_WEIGHT of it of bent maps."""
+    weight = LOOSE_WEIGHT if figures["tolerance_cells"] > LOOSE_TOLERANCE_CELLS else 1.0
+    return weight * math.log((figures[strip] + LEAST_BEHIND) / (USUAL_BEHIND + LEAST_BEHIND))
 
 
 def _log_gain(figures: Figures) -> float:

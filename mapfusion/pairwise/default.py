@@ -14,6 +14,7 @@ from mapfusion.pairwise.search import (
     QUICK,
     THOROUGH,
     Finding,
+    are_alike,
     are_vast,
     examine,
     is_promising,
@@ -89,7 +90,10 @@ def _searched(
     # A join must stand against all rivals.
     thoroughly = examine(target, source, proposed, matches, THOROUGH, 0.0 if quick.accepted else OUTLOOK)
     if quick.accepted:
-        found = with_rivals_of(quickly, thoroughly, target, source)
+        found, other = quickly, thoroughly
+        if are_alike(found, other, target, source) and other.best.plausibility > found.best.plausibility:
+            found, other = other, found
+        found = with_rivals_of(found, other, target, source)
         checked = _judged(target, source, config, found)
         if checked.accepted:
             return found, checked

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mapfusion.grid import Mask, OccupancyGrid, crop_to_known, resample
+from mapfusion.pairwise.behind import Hidden, hidden_cells
 from mapfusion.pairwise.features import Features, detect
 from mapfusion.pairwise.poses import Poses
 from mapfusion.pairwise.sketch import sketch
@@ -82,6 +83,12 @@ class PreparedMap:
         """(H, W) codes of the field's cells, as in `sketch`; only of maps that have a field."""
         assert self.field is not None
         return sketch(self.field)
+
+    @cached_property
+    def hidden(self) -> Hidden:
+        """What its walls hide from it; only of maps that have a field."""
+        assert self.field is not None
+        return hidden_cells(self.field)
 
     @cached_property
     def _near_keypoints(self) -> dict[int, Bytes]:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mapfusion.pairwise.behind import seen_behind
 from mapfusion.pairwise.confidence import confidence_alone, margin, plausibility
 from mapfusion.pairwise.correlation import correlate, likely_rotations
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, Evidence, weigh
@@ -242,12 +243,11 @@ def examine(
     else:
         candidates = shortlist.with_slides().best(effort.num_scrutinised)
         found = with_firmness(recheck(target, source, candidates[0].pose, matches), target, source)
-    others = np.array([one.pose for one in candidates])
-    (apart,) = differ(others[:1], others, source.centre, distinct_cells(target, source), DISTINCT_DEGREES)
+    apart = _apart_from(candidates[0], candidates, target, source)
     off = squared_offsets(target.features, source.features, matches, found.best.pose)
     return replace(
         found,
-        rival=nearest(found.best, [one for one, is_apart in zip(candidates, apart, strict=True) if is_apart]),
+        rival=nearest(found.best, apart),
         is_searched=True,
         is_hopeless=is_hopeless,
         num_matches=len(matches),
@@ -266,15 +266,22 @@ def is_promising(hypotheses: Hypotheses) -> bool:
     return bool((hypotheses.scores >= PROMISING_EVIDENCE).any())
 
 
+def are_alike(one: Finding, other: Finding, target: PreparedMap, source: PreparedMap) -> bool:
+    """Whether two findings in the same maps are the same answer, give or take what large maps bend."""
+    return not _apart_from(one.best, [other.best], target, source)
+
+
 def with_rivals_of(finding: Finding, other: Finding, target: PreparedMap, source: PreparedMap) -> Finding:
     """The finding with the nearest rival that it or another search of the same maps found."""
     rivals = [one for one in (finding.rival, other.rival, other.best) if one is not None]
-    if not rivals:
-        return finding
-    poses, cells = np.array([one.pose for one in rivals]), distinct_cells(target, source)
-    (apart,) = differ(finding.best.pose[None], poses, source.centre, cells, DISTINCT_DEGREES)
-    rivals = [one for one, is_apart in zip(rivals, apart, strict=True) if is_apart]
-    return replace(finding, rival=nearest(finding.best, rivals))
+    return replace(finding, rival=nearest(finding.best, _apart_from(finding.best, rivals, target, source)))
+
+
+def _apart_from(best: Candidate, others: list[Candidate], target: PreparedMap, source: PreparedMap) -> list[Candidate]:
+    """Those of the others that are different answers."""
+    poses, cells = np.array([one.pose for one in others]).reshape(-1, 3), distinct_cells(target, source)
+    (apart,) = differ(best.pose[None], poses, source.centre, cells, DISTINCT_DEGREES)
+    return [one for one, is_apart in zip(others, apart, strict=True) if is_apart]
 
 
 def nearest(best: Candidate, rivals: list[Candidate]) -> Candidate | None:
@@ -403,6 +410,8 @@ def look_closely(
     figures = evidence.of(index)
     scrutiny = scrutinise(target.field, source.field, pose, figures["tolerance_cells"])
     figures |= scrutiny._asdict()
+    hidden = target.hidden, source.hidden
+    figures |= seen_behind(target.field, source.field, hidden, pose, figures["num_walls"])._asdict()
     if matches is not None:
         figures |= keypoint_agreement(target, source, pose, matches, figures["tolerance_cells"])._asdict()
     return Candidate(pose, figures)

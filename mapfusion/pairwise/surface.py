@@ -36,7 +36,7 @@ NORMAL_SIGMA = 1.5
 NOT_KNOWN = 255
 DIRECTION_BINS = 24
 """Directions that are told apart where they are counted."""
-FIELD_MARGIN = 12
+FIELD_MARGIN = 20
 """A field reaches this many cells beyond its map."""
 _BOX, _CROSS = np.ones((3, 3), np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _TO_DEPTH = (_CROSS, _BOX, _CROSS, _BOX, _CROSS) * 2 + (_CROSS, _BOX)

@@ -15,6 +15,7 @@ from mapfusion.pairwise.confidence import (
     MAX_NET,
     MIN_CONFIDENCE,
     PLAUSIBILITY,
+    USUAL_BEHIND,
     closeness,
     confidence,
     confidence_alone,
@@ -41,6 +42,8 @@ FIGURES = {
     "outside": 0.5,
     "keypoints": 2.0,
     "firmness": 0.2,
+    "behind": 0.01,
+    "far_behind": 0.01,
     "inliers_near": 20.0,
     "inliers_wide": 40.0,
 }
@@ -62,6 +65,8 @@ def test_every_term_has_a_weight() -> None:
         {"keypoints": 3.0},
         {"inliers_near": 30.0},
         {"inliers_wide": 60.0},
+        {"behind": 0.0},
+        {"far_behind": 0.0},
     ],
 )
 def test_plausibility_grows_with_what_speaks_for_a_pose(better: dict[str, float]) -> None:
@@ -188,8 +193,30 @@ def test_alone_a_pose_has_no_rival_and_all_its_parts_stay() -> None:
 
 def test_how_well_a_pose_fits_is_not_how_much_is_in_common() -> None:
     assert fit(FIGURES | {"net": 50.0, "lines": 40.0, "inliers_near": 100.0, "inliers_wide": 200.0}) == fit(FIGURES)
-    for worse in ({"crossing": 0.1}, {"crossing_cells": 40.0}, {"ratio": 0.5}, {"keypoints": 1.0}):
+    for worse in (
+        {"crossing": 0.1},
+        {"crossing_cells": 40.0},
+        {"ratio": 0.5},
+        {"keypoints": 1.0},
+        {"behind": 0.1},
+        {"far_behind": 0.1},
+    ):
         assert fit(FIGURES | worse) < fit(FIGURES)
+
+
+def test_what_lies_behind_walls_tells_less_of_bent_maps() -> None:
+    def lost(tolerance_cells: float, **more: float) -> float:
+        figures = FIGURES | {"tolerance_cells": tolerance_cells}
+        usual = {"behind": USUAL_BEHIND, "far_behind": USUAL_BEHIND}
+        return plausibility(figures | usual) - plausibility(figures | usual | more)
+
+    assert lost(1.5, behind=0.1) == pytest.approx(lost(3.0, behind=0.1)) == pytest.approx(2.0 * lost(6.0, behind=0.1))
+    # As much as is usual speaks neither for nor against a pose, however closely its walls agree.
+    usual = [
+        plausibility(FIGURES | {"behind": USUAL_BEHIND, "far_behind": USUAL_BEHIND, "tolerance_cells": one})
+        for one in (1.5, 3.0, 6.0)
+    ]
+    assert usual == pytest.approx([usual[0]] * 3)
 
 
 def test_evidence_beyond_what_counts_makes_up_for_a_more_plausible_rival() -> None:

@@ -10,17 +10,10 @@ import pytest
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.confidence import MIN_CONFIDENCE, confidence_alone
-from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
 from mapfusion.pairwise.verdict import (
-    MORE_EVIDENCE,
-    SURE,
-    VERY_SURE,
-    are_few_things,
     judge,
-    least_confidence,
-    least_evidence,
     may_repeat_itself,
     may_turn_on_parts,
     repeats_itself,
@@ -49,6 +42,8 @@ GOOD = {
     "outside": 0.4,
     "keypoints": 3.0,
     "firmness": 0.3,
+    "behind": 0.01,
+    "far_behind": 0.01,
     "inliers_near": 60.0,
     "inliers_wide": 100.0,
 }
@@ -93,19 +88,18 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
     ("gate", "found"),
     [
         ("chance", finding(net=10.0, rival_net=5.0)),
-        ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3, lines=7.0)),
-        ("chance", finding(net=60.0, rival_net=5.0, contradiction=0.3, lines=7.0, tolerance_cells=3.0)),
-        ("chance", finding(net=60.0, rival_net=5.0, mutual_ratio=0.3, lines=9.0, tolerance_cells=6.0)),
         ("confidence", finding(net=60.0, rival_net=30.0, mutual_ratio=0.3, lines=9.0, keypoints=1.0)),
-        ("chance", finding(net=60.0, rival_net=5.0, lines=7.0, tolerance_cells=6.0)),
-        ("chance", finding(net=90.0, rival_net=5.0, lines=7.0, ratio=0.8, mutual_ratio=0.3, tolerance_cells=3.0)),
         ("chance", finding(ratio=0.15, chance=0.005)),
         ("contradiction", finding(contradiction=0.7)),
         ("contradiction", finding(stray_cells=61.0)),
         ("repeats", finding(**REPEATED)),
         ("one direction", finding(conditioning=0.001)),
         ("one direction", finding(turning=0.01)),
-        ("parts", finding(firmness=0.05)),
+        ("confidence", finding(firmness=0.05, mutual_ratio=0.3, lines=9.0)),
+        (
+            "confidence",
+            replace(finding(net=25.0, behind=0.3, far_behind=0.3, mutual_ratio=0.3, lines=9.0), rival=None),
+        ),
         ("ambiguous", replace(finding(), rival=finding().best)),
         (
             "confidence",
@@ -119,85 +113,6 @@ def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, fo
     assert any(c.isdigit() for c in result.reason)
     assert result.confidence < MIN_CONFIDENCE
     assert (result.rival == RIVAL) == (gate == "ambiguous")
-
-
-@pytest.mark.parametrize("doubt", [{"mutual_ratio": 0.3}, {"contradiction": 0.3}])
-def test_many_walls_may_join_despite_a_doubt_where_the_confidence_is_high(
-    place: PreparedMap, doubt: dict[str, float]
-) -> None:
-    result = judged(place, finding(net=60.0, rival_net=5.0, **doubt))
-    assert result.accepted, result.reason
-    assert result.confidence >= SURE
-
-
-def test_two_doubts_at_once_ask_for_more_confidence() -> None:
-    assert least_confidence(GOOD | {"mutual_ratio": 0.3}) == MIN_CONFIDENCE
-    assert least_confidence(GOOD | {"contradiction": 0.3}) == MIN_CONFIDENCE
-    assert least_confidence(GOOD | {"mutual_ratio": 0.3, "contradiction": 0.3}) == SURE
-    assert least_confidence(GOOD | {"mutual_ratio": 0.3, "tolerance_cells": 3.0}) == SURE
-    assert least_confidence(GOOD | {"tolerance_cells": 3.0}) == MIN_CONFIDENCE
-
-
-def test_maps_that_are_not_bent_and_agree_by_half_only_must_be_sure() -> None:
-    half = GOOD | {"contradiction": 0.3, "ratio": 0.59}
-    assert least_confidence(half) == least_confidence(half | {"tolerance_cells": 3.0}) == SURE
-    assert least_confidence(half | {"tolerance_cells": 6.0}) == MIN_CONFIDENCE
-    assert least_confidence(half | {"ratio": 0.6}) == MIN_CONFIDENCE
-    assert least_confidence(half | {"contradiction": 0.2}) == MIN_CONFIDENCE
-
-
-def test_walls_seen_from_the_other_side_ask_for_more_confidence() -> None:
-    assert least_confidence(GOOD | {"opposite": 0.09}) == MIN_CONFIDENCE
-    assert least_confidence(GOOD | {"opposite": 0.11, "contradiction": 0.3}) == VERY_SURE
-
-
-def test_many_loose_walls_that_contradict_each_other_need_evidence_or_to_be_sure() -> None:
-    loose = GOOD | {"net": 60.0, "tolerance_cells": 6.0}
-    contradicting = loose | {"contradiction": 0.3}
-    assert least_evidence(loose, 0.0) == MIN_EVIDENCE
-    assert least_evidence(contradicting, SURE - 0.01) == MORE_EVIDENCE
-    assert least_evidence(contradicting, SURE) == MIN_EVIDENCE
-    assert least_evidence(contradicting | {"mutual_ratio": 0.3}, 1.0) == MORE_EVIDENCE
-
-
-def test_many_walls_that_agree_loosely_only_join_no_maps_that_share_little(place: PreparedMap) -> None:
-    little = {"net": 60.0, "rival_net": 5.0, "mutual_ratio": 0.3}
-    assert judged(place, finding(**little)).accepted
-    assert judged(place, finding(**little, tolerance_cells=6.0)).gate == "chance"
-    assert judged(place, finding(**little | {"mutual_ratio": 0.5}, tolerance_cells=6.0)).accepted
-
-
-def test_few_things_that_agree_loosely_only_are_no_place(place: PreparedMap) -> None:
-    few = {"net": 90.0, "rival_net": 5.0, "lines": 7.0, "ratio": 0.95, "mutual_ratio": 0.3, "outside": 0.6}
-    assert judged(place, finding(**few)).gate != "chance"
-    assert judged(place, finding(**few, tolerance_cells=6.0)).gate == "chance"
-
-
-def test_loosely_agreeing_walls_must_be_more_not_to_be_few() -> None:
-    loose = GOOD | {"net": 60.0, "tolerance_cells": 6.0}
-    assert least_evidence(loose | {"lines": 12.0}, 1.0) == MIN_EVIDENCE
-    assert least_evidence(loose | {"lines": 11.9}, 1.0) == MORE_EVIDENCE
-    assert least_evidence(loose | {"lines": 11.9, "tolerance_cells": 3.0}, 1.0) == MIN_EVIDENCE
-
-
-def test_few_walls_are_told_from_two_things_by_more_evidence_where_they_do_not_agree_closely(
-    place: PreparedMap,
-) -> None:
-    few = {"rival_net": 5.0, "lines": 7.0, "ratio": 0.6, "mutual_ratio": 0.3, "outside": 0.7}
-    assert judged(place, finding(**few, net=71.0)).accepted
-    assert judged(place, finding(**few, net=69.0)).gate == "chance"
-    assert not are_few_things(GOOD | few | {"net": 71.0})
-    assert are_few_things(GOOD | few | {"net": 99.0, "tolerance_cells": 3.0})
-    assert not are_few_things(GOOD | few | {"net": 101.0, "tolerance_cells": 3.0})
-    assert are_few_things(GOOD | few | {"net": 99.0, "tolerance_cells": 6.0, "lines": 11.0})
-    assert not are_few_things(GOOD | few | {"net": 99.0, "tolerance_cells": 3.0, "lines": 11.0})
-
-
-def test_few_walls_may_contradict_each_other_where_they_agree_closely_and_share_much() -> None:
-    few = GOOD | {"lines": 7.0, "contradiction": 0.3}
-    assert least_evidence(few, 0.9) == MIN_EVIDENCE
-    assert least_evidence(few | {"tolerance_cells": 3.0}, 0.9) == MORE_EVIDENCE
-    assert least_evidence(few | {"mutual_ratio": 0.3}, 0.9) == MORE_EVIDENCE
 
 
 def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: PreparedMap) -> None:
@@ -218,16 +133,6 @@ def test_parts_are_looked_at_where_the_verdict_may_turn_on_them() -> None:
 def test_a_rival_is_named_though_parts_would_not_stay(place: PreparedMap) -> None:
     alike = finding(firmness=0.0)
     assert judged(place, replace(alike, rival=alike.best)).gate == "ambiguous"
-
-
-@pytest.mark.parametrize(
-    ("firmness", "tolerance_cells", "gate"),
-    [(0.05, 1.5, "parts"), (0.15, 1.5, ""), (0.15, 3.0, "parts"), (0.25, 3.0, ""), (0.05, 6.0, "")],
-)
-def test_the_closer_walls_agree_or_the_more_maps_are_bent_the_fewer_parts_need_to_stay(
-    place: PreparedMap, firmness: float, tolerance_cells: float, gate: str
-) -> None:
-    assert judged(place, finding(firmness=firmness, tolerance_cells=tolerance_cells)).gate == gate
 
 
 def test_error_threshold_is_a_gate_only_where_given(place: PreparedMap) -> None:
