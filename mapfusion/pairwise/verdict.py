@@ -39,6 +39,10 @@ KNOWN_MARGIN = 3.0
 """Taken for a transform that is only verified, whose rivals were weighed when it was found."""
 MIN_RATIO = 0.2
 """Least share of the walls in the common area that must agree, however few would by chance."""
+SMALL_OVERLAP, FEW_LINES, FEW_LOOSE_LINES, MORE_EVIDENCE = 0.4, 8.0, 12.0, 70.0
+"""Maps that share less than the first of the smaller one, and fewer walls of it than the second, or where they agree
+loosely than the third, need the fourth: two or three things that stand alike in both are no place yet, and the less
+maps share the more ways there are to share it."""
 MOST_RECURRING, MIN_REST_RATIO, LIKE_FIT = 0.5, 0.4, -3.0
 """Where more than the first of the walls that agree recur within one of the maps, at least the second of those that do
 not must agree, and along DEPENDENT_CELLS of wall, unless all alignments that follow fit worse by more than the third:
@@ -116,10 +120,13 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "no overlap", "the best alignment leaves no cell that both maps know"
     if config.mae_threshold is not None and cells.mae >= config.mae_threshold:
         return "mae", f"mean absolute error {cells.mae:.1f} grey levels, not below {config.mae_threshold:g}"
-    if figures["net"] < MIN_EVIDENCE:
+    least = least_evidence(figures)
+    if figures["net"] < least:
         return "chance", (
             "agreement is no better than what a search finds between unrelated maps: "
-            f"{agreement} (evidence {figures['net']:.0f}, at least {MIN_EVIDENCE:.0f} is needed)"
+            f"{agreement} (evidence {figures['net']:.0f}, at least {least:.0f} is needed "
+            f"with {figures['mutual_ratio']:.0%} of the smaller map in common and about {figures['lines']:.0f} "
+            f"different walls within {figures['tolerance_cells']:g} cells)"
         )
     if figures["ratio"] < MIN_RATIO:
         return "chance", f"too few walls agree: {agreement}, at least {MIN_RATIO:.0%} must"
@@ -178,6 +185,12 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
     return "", ""
 
 
+def least_evidence(figures: Figures) -> float:
+    """The net evidence that a pose with these figures needs."""
+    is_few = figures["lines"] < (FEW_LOOSE_LINES if _is_loose(figures) else FEW_LINES)
+    return MORE_EVIDENCE if is_few and figures["mutual_ratio"] < SMALL_OVERLAP else MIN_EVIDENCE
+
+
 def may_turn_on_parts(finding: Finding) -> bool:
     """Whether a finding would have confidence and evidence enough if all parts stayed, and not if hardly any did."""
     worst, best = (_is_enough(finding, {"firmness": one}) for one in (MIN_FIRMNESS, MAX_FIRMNESS))
@@ -187,7 +200,7 @@ def may_turn_on_parts(finding: Finding) -> bool:
 def _is_enough(finding: Finding, supposed: Figures) -> bool:
     """Whether evidence and confidence would suffice if the best pose had the supposed figures."""
     figures = {**finding.best.figures, **supposed}
-    return figures["net"] >= MIN_EVIDENCE and confidence(figures, _margin(finding)) >= MIN_CONFIDENCE
+    return figures["net"] >= least_evidence(figures) and confidence(figures, _margin(finding)) >= MIN_CONFIDENCE
 
 
 def may_repeat_itself(finding: Finding) -> bool:

@@ -10,10 +10,13 @@ import pytest
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
 from mapfusion.pairwise.confidence import MIN_CONFIDENCE, confidence_alone
+from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
 from mapfusion.pairwise.verdict import (
+    MORE_EVIDENCE,
     judge,
+    least_evidence,
     may_repeat_itself,
     may_turn_on_parts,
     repeats_itself,
@@ -113,6 +116,25 @@ def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, fo
     assert any(c.isdigit() for c in result.reason)
     assert result.confidence < MIN_CONFIDENCE
     assert (result.rival == RIVAL) == (gate == "ambiguous")
+
+
+@pytest.mark.parametrize(
+    ("figures", "least"),
+    [
+        ({"lines": 7.9, "mutual_ratio": 0.39}, MORE_EVIDENCE),
+        ({"lines": 8.1, "mutual_ratio": 0.39}, MIN_EVIDENCE),
+        ({"lines": 7.9, "mutual_ratio": 0.41}, MIN_EVIDENCE),
+        ({"lines": 11.9, "mutual_ratio": 0.39, "tolerance_cells": 6.0}, MORE_EVIDENCE),
+        ({"lines": 12.1, "mutual_ratio": 0.39, "tolerance_cells": 6.0}, MIN_EVIDENCE),
+    ],
+)
+def test_a_few_things_that_maps_sharing_little_have_in_common_are_no_place_yet(
+    place: PreparedMap, figures: dict[str, float], least: float
+) -> None:
+    assert least_evidence(GOOD | figures) == least
+    assert judged(place, finding(net=60.0, rival_net=5.0, **figures)).gate in (
+        ("chance",) if least == MORE_EVIDENCE else ("", "confidence")
+    )
 
 
 def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: PreparedMap) -> None:
