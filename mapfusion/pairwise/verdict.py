@@ -43,7 +43,7 @@ SMALL_OVERLAP, FEW_LINES, FEW_LOOSE_LINES, MORE_EVIDENCE = 0.4, 8.0, 12.0, 70.0
 """Maps that share less than the first of the smaller one, and fewer walls of it than the second, or where they agree
 loosely than the third, need the fourth: two or three things that stand alike in both are no place yet, and the less
 maps share the more ways there are to share it."""
-MOST_RECURRING, MIN_REST_RATIO, LIKE_FIT = 0.5, 0.4, -3.0
+MOST_RECURRING, MIN_REST_RATIO, LIKE_FIT = 0.5, 0.4, -5.0
 """Where more than the first of the walls that agree recur within one of the maps, at least the second of those that do
 not must agree, and along DEPENDENT_CELLS of wall, unless all alignments that follow fit worse by more than the third:
 in a maze every wall has its like, but together they fit nowhere else."""
