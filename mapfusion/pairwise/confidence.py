@@ -75,7 +75,7 @@ walls stand in front of each other anyway."""
 BETTER_FIT = 0.5
 """A rival that is sure enough alone and fits better than the best pose by more than this may well be right: a place
 that repeats itself may have more in common where it does not belong."""
-MIN_CONFIDENCE = 0.86
+MIN_CONFIDENCE = 0.8
 """Confidence from which on a pose is sure enough, unless something about it asks for more."""
 MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
 """Less firmness than the first and more than the second tells no more. With less than the first, maps that are not bent

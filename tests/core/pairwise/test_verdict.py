@@ -91,7 +91,6 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
     ("gate", "found"),
     [
         ("chance", finding(net=10.0, rival_net=5.0)),
-        ("confidence", finding(net=60.0, rival_net=30.0, mutual_ratio=0.3, lines=9.0, keypoints=1.0)),
         ("chance", finding(ratio=0.15, chance=0.005)),
         ("contradiction", finding(contradiction=0.7)),
         ("contradiction", finding(stray_cells=61.0)),
@@ -236,7 +235,7 @@ def test_walls_that_do_not_recur_must_agree_where_most_recur(place: PreparedMap)
     refused = judged(place, finding(**REPEATED))
     assert "60% of the walls that agree have their like elsewhere in the same map" in refused.reason
     assert "of the other 400 wall cells 30% agree" in refused.reason
-    for enough in ({"recurring": 0.5}, {"rest_ratio": 0.4}, {"tolerance_cells": 6.0}, {"like_fit": -3.1}):
+    for enough in ({"recurring": 0.5}, {"rest_ratio": 0.4}, {"tolerance_cells": 6.0}, {"like_fit": -5.1}):
         assert judged(place, finding(**(REPEATED | enough))).accepted, enough
     assert judged(place, finding(**(REPEATED | {"rest_cells": 11.0, "rest_ratio": 1.0}))).gate == "repeats"
     assert judged(place, finding(**(REPEATED | {"rest_cells": 13.0, "rest_ratio": 1.0}))).accepted
