@@ -26,7 +26,7 @@ NUM_VERDICTS = 4
 MIN_AGREEING, MIN_AGREEING_IN_DOUBT = 2, 3
 """So many must accept the same; the second where one of them found a rival, that most walls recur, or that the rotation
 is left open: a wrong alignment is accepted nearly as steadily as a right one there."""
-CLOSE_GATES = ("ambiguous", "chance", "confidence", "repeats")
+CLOSE_GATES = ("ambiguous", "chance", "confidence", "parts", "repeats")
 """Gates whose figures change as maps are turned."""
 SURE_ALONE, LEAST_HOPE = 0.99, 0.5
 """Joins with less confidence than the first, and refusals with at least the second, are close calls."""

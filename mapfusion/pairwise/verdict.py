@@ -43,6 +43,9 @@ SMALL_OVERLAP, FEW_LINES, FEW_LOOSE_LINES, MORE_EVIDENCE = 0.4, 8.0, 12.0, 70.0
 """Maps that share less than the first of the smaller one, and fewer walls of it than the second, or where they agree
 loosely than the third, need the fourth: two or three things that stand alike in both are no place yet, and the less
 maps share the more ways there are to share it."""
+LEAST_FIRMNESS, MOST_SEEN_BEHIND = 0.25, 0.03
+"""Maps that are not bent are not joined where parts with less than the first of the walls stay and one map sees more than
+the second behind the other's walls: half turns of a loop of corridors. Each alone is common."""
 MOST_RECURRING, MIN_REST_RATIO, LIKE_FIT = 0.5, 0.4, -5.0
 """Where more than the first of the walls that agree recur within one of the maps, at least the second of those that do
 not must agree, and along DEPENDENT_CELLS of wall, unless all alignments that follow fit worse by more than the third:
@@ -170,6 +173,13 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"{MIN_REST_RATIO:.0%} and {DEPENDENT_CELLS:.0f} cells must): like parts of a place, but hardly the same; "
             f"{agreement}"
         )
+    if is_adrift(figures):
+        return "parts", (
+            "parts of the maps would lie as well some cells away: only those that hold "
+            f"{figures['firmness']:.0%} of the walls in the common area stay where the alignment puts them (at least "
+            f"{LEAST_FIRMNESS:.0%} where more than {MOST_SEEN_BEHIND:.0%} of what walls hide is free in the other map; "
+            f"is {_seen_behind(figures):.1%}); {agreement}"
+        )
     if trust < MIN_CONFIDENCE:
         rivals = (
             "no rivals were looked for"
@@ -217,6 +227,16 @@ def repeats_itself(figures: Figures) -> bool:
         return False
     is_little = figures["rest_cells"] * figures["rest_ratio"] < DEPENDENT_CELLS
     return is_little or figures["rest_ratio"] < MIN_REST_RATIO
+
+
+def is_adrift(figures: Figures) -> bool:
+    """Whether too few parts of the maps stay where the pose puts them, as far as parts were looked at."""
+    is_firm = figures.get("firmness", LEAST_FIRMNESS) >= LEAST_FIRMNESS
+    return not (is_firm or _is_loose(figures)) and _seen_behind(figures) > MOST_SEEN_BEHIND
+
+
+def _seen_behind(figures: Figures) -> float:
+    return figures["behind"] + figures["far_behind"]
 
 
 def _is_loose(figures: Figures) -> bool:

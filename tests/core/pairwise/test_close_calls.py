@@ -97,8 +97,8 @@ def test_two_of_four_join_what_the_first_refused(ask: Ask) -> None:
 
 
 def test_what_only_one_of_four_accepts_is_refused_with_both_sides_named(ask: Ask) -> None:
-    result, number = ask([yes(ELSEWHERE, confidence=0.9), no("confidence", "parts drift"), no(), no()])
-    assert (result.accepted, result.gate) == (False, "confidence")
+    result, number = ask([yes(ELSEWHERE, confidence=0.9), no("parts", "parts drift"), no(), no()])
+    assert (result.accepted, result.gate) == (False, "parts")
     assert number == NUM_VERDICTS
     assert "of 4 verdicts on these and on the same maps turned by quarters only 1 accept the same" in result.reason
     assert "parts drift" in result.reason

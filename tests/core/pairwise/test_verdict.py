@@ -102,6 +102,7 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
             "confidence",
             replace(finding(net=25.0, behind=0.3, far_behind=0.3, mutual_ratio=0.3, lines=9.0), rival=None),
         ),
+        ("parts", finding(firmness=0.05, far_behind=0.05)),
         ("ambiguous", replace(finding(), rival=finding().best)),
         (
             "confidence",
@@ -284,3 +285,31 @@ def test_a_search_that_ended_early_names_no_rivals_evidence(place: PreparedMap) 
     assert early.gate == "confidence"
     assert "no rivals were looked for" in early.reason
     assert "different alignment" not in early.reason
+
+
+ADRIFT = {"firmness": 0.24, "behind": 0.02, "far_behind": 0.02}
+
+
+@pytest.mark.parametrize(
+    ("less", "gate"),
+    [
+        ({}, "parts"),
+        ({"tolerance_cells": 3.0}, "parts"),
+        ({"firmness": 0.26}, ""),
+        ({"far_behind": 0.009}, ""),
+        ({"tolerance_cells": 6.0}, ""),
+    ],
+)
+def test_maps_whose_parts_drift_and_that_see_behind_each_others_walls_are_not_joined(
+    place: PreparedMap, less: dict[str, float], gate: str
+) -> None:
+    result = judged(place, finding(**ADRIFT | less))
+    assert result.gate == gate
+    if gate:
+        assert "stay where the alignment puts them (at least 25% where more than 3%" in result.reason
+
+
+def test_parts_that_were_not_looked_at_do_not_drift(place: PreparedMap) -> None:
+    verified = finding(rival_net=None, **ADRIFT)
+    figures = {name: value for name, value in verified.best.figures.items() if name != "firmness"}
+    assert judged(place, replace(verified, best=replace(verified.best, figures=figures))).accepted
