@@ -44,8 +44,8 @@ SMALL_OVERLAP, FEW_LINES, FEW_LOOSE_LINES, MORE_EVIDENCE = 0.4, 8.0, 12.0, 70.0
 loosely than the third, need the fourth: two or three things that stand alike in both are no place yet, and the less
 maps share the more ways there are to share it."""
 LEAST_FIRMNESS, MOST_SEEN_BEHIND = 0.25, 0.03
-"""Maps that are not bent are not joined where parts with less than the first of the walls stay and one map sees more than
-the second behind the other's walls: half turns of a loop of corridors. Each alone is common."""
+"""Maps that are not bent are not joined where parts with less than the first of the walls stay and one map sees more
+than the second behind the other's walls: half turns of a loop of corridors. Each alone is common."""
 MOST_RECURRING, MIN_REST_RATIO, LIKE_FIT = 0.5, 0.4, -5.0
 """Where more than the first of the walls that agree recur within one of the maps, at least the second of those that do
 not must agree, and along DEPENDENT_CELLS of wall, unless all alignments that follow fit worse by more than the third:
