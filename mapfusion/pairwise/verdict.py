@@ -40,9 +40,9 @@ KNOWN_MARGIN = 3.0
 MIN_RATIO = 0.2
 """Least share of the walls in the common area that must agree, however few would by chance."""
 SMALL_OVERLAP, FEW_LINES, FEW_LOOSE_LINES, MORE_EVIDENCE = 0.4, 8.0, 12.0, 70.0
-"""Maps that share less than the first of the smaller one, and fewer walls of it than the second, or where they agree
-loosely than the third, need the fourth: two or three things that stand alike in both are no place yet, and the less
-maps share the more ways there are to share it."""
+"""Fewer walls than the second, or where they agree loosely than the third, need the fourth where maps share less than
+the first of the smaller one, and where they agree loosely: two or three things that stand alike in both are no place
+yet, and leave a pose loose."""
 LEAST_FIRMNESS, MOST_SEEN_BEHIND = 0.25, 0.03
 """Maps that are not bent are not joined where parts with less than the first of the walls stay and one map sees more
 than the second behind the other's walls: half turns of a loop of corridors. Each alone is common."""
@@ -197,8 +197,9 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 
 def least_evidence(figures: Figures) -> float:
     """The net evidence that a pose with these figures needs."""
-    is_few = figures["lines"] < (FEW_LOOSE_LINES if _is_loose(figures) else FEW_LINES)
-    return MORE_EVIDENCE if is_few and figures["mutual_ratio"] < SMALL_OVERLAP else MIN_EVIDENCE
+    is_loose = _is_loose(figures)
+    is_few = figures["lines"] < (FEW_LOOSE_LINES if is_loose else FEW_LINES)
+    return MORE_EVIDENCE if is_few and (is_loose or figures["mutual_ratio"] < SMALL_OVERLAP) else MIN_EVIDENCE
 
 
 def may_turn_on_parts(finding: Finding) -> bool:

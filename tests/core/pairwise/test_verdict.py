@@ -124,11 +124,11 @@ def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, fo
         ({"lines": 7.9, "mutual_ratio": 0.39}, MORE_EVIDENCE),
         ({"lines": 8.1, "mutual_ratio": 0.39}, MIN_EVIDENCE),
         ({"lines": 7.9, "mutual_ratio": 0.41}, MIN_EVIDENCE),
-        ({"lines": 11.9, "mutual_ratio": 0.39, "tolerance_cells": 6.0}, MORE_EVIDENCE),
+        ({"lines": 11.9, "mutual_ratio": 0.41, "tolerance_cells": 6.0}, MORE_EVIDENCE),
         ({"lines": 12.1, "mutual_ratio": 0.39, "tolerance_cells": 6.0}, MIN_EVIDENCE),
     ],
 )
-def test_a_few_things_that_maps_sharing_little_have_in_common_are_no_place_yet(
+def test_a_few_things_that_maps_sharing_little_have_in_common_or_that_agree_loosely_are_no_place_yet(
     place: PreparedMap, figures: dict[str, float], least: float
 ) -> None:
     assert least_evidence(GOOD | figures) == least
