@@ -46,7 +46,7 @@ def test_hidden_is_a_strip_behind_walls_and_nothing_else() -> None:
     # The corridor is 20 cells wide; its rim is the middle of its outermost cells.
     assert np.all(np.abs(depth) >= 9.5 + NEAREST_CELLS)
     assert np.all(np.abs(depth) <= 9.5 + FARTHEST_CELLS)
-    assert np.array_equal(np.sign(one.hidden.probes.normals[:, 1]), -np.sign(depth))
+    assert np.array_equal(np.sign(one.hidden.normals[:, 1]), -np.sign(depth))
     assert len(one.hidden.cells) * one.hidden.cells_per_sample == pytest.approx(2 * 200 * 17, rel=0.1)
 
 
