@@ -11,10 +11,11 @@ import pytest
 from mapfusion.config import FusionConfig
 from mapfusion.evaluation.pairs import StudyPair, make_pair
 from mapfusion.grid import Cells, OccupancyGrid
-from mapfusion.pairwise import search
+from mapfusion.pairwise import default, search
 from mapfusion.pairwise.default import OUTLOOK, PreparedMap, fuse, prepare, verify
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
+from tests.core.pairwise.test_verdict import GOOD
 from tests.fakes import flat, grid_of, rooms, seen_from
 
 RESOLUTION_M = 0.1
@@ -87,6 +88,26 @@ def test_what_keypoints_alone_make_sure_of_is_not_looked_for_otherwise(monkeypat
     result = fuse(prepare(pair.target, 0.05), prepare(pair.source, 0.05), FusionConfig())
     assert result.accepted, result.reason
     assert off_m(pair, result) < 0.05
+
+
+@pytest.mark.parametrize(("lines", "expected_cells"), [(40.0, 2.0), (20.0, 0.0)])
+def test_of_two_searches_that_find_the_same_the_more_plausible_pose_is_taken(
+    monkeypatch: pytest.MonkeyPatch, lines: float, expected_cells: float
+) -> None:
+    place = prepare(grid_of(rooms(seed=3)), RESOLUTION_M)
+
+    def found(x_cells: float, lines: float) -> search.Finding:
+        best = search.Candidate(np.array([x_cells, 0.0, 0.0]), GOOD | {"lines": lines})
+        return search.Finding(best, np.diag([1e3, 1e3, 1e6]), is_searched=True)
+
+    findings = [found(0.0, 30.0), found(2.0, lines)]
+    monkeypatch.setattr(default, "is_promising", lambda proposed: False)
+    monkeypatch.setattr(default, "examine", lambda *args: findings.pop(0))
+    monkeypatch.setattr(default, "SETTLED", math.inf)
+    result = fuse(place, place, FusionConfig())
+    assert (result.accepted, findings) == (True, [])
+    assert result.T_target_source is not None
+    assert result.T_target_source.x_m == pytest.approx(expected_cells * RESOLUTION_M)
 
 
 def test_hopeless_pairs_are_not_searched_thoroughly(monkeypatch: pytest.MonkeyPatch) -> None:

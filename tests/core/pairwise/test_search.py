@@ -22,6 +22,7 @@ from mapfusion.pairwise.search import (
     THOROUGH,
     Candidate,
     Finding,
+    are_alike,
     examine,
     propose,
     with_rivals_of,
@@ -55,6 +56,12 @@ def test_a_rival_with_as_much_evidence_is_nearer_than_a_more_plausible_one_with_
     for first, second in ((much, little), (little, much)):
         finding = Finding(best, np.eye(3), first, is_searched=True)
         assert with_rivals_of(finding, Finding(best, np.eye(3), second), place, place).rival is much
+
+
+def test_findings_are_alike_unless_they_are_different_answers(place: PreparedMap) -> None:
+    one = Finding(candidate(0.0, 30.0), np.eye(3), candidate(60.0, 30.0))
+    assert are_alike(one, Finding(candidate(3.0, 5.0), np.eye(3)), place, place)
+    assert not are_alike(one, Finding(candidate(60.0, 30.0), np.eye(3), one.best), place, place)
 
 
 def test_what_is_the_same_alignment_is_no_rival(place: PreparedMap) -> None:
