@@ -76,10 +76,9 @@ BETTER_FIT = 0.5
 """A rival that is sure enough alone and fits better than the best pose by more than this may well be right: a place
 that repeats itself may have more in common where it does not belong."""
 MIN_CONFIDENCE = 0.8
-"""Confidence from which on a pose is sure enough, unless something about it asks for more."""
+"""Confidence from which on a pose is sure enough."""
 MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
-"""Less firmness than the first and more than the second tells no more. With less than the first, maps that are not bent
-are not joined."""
+"""Less firmness than the first and more than the second tells no more."""
 LITTLE_OVERLAP, ENOUGH_OVERLAP, MAX_FIRMNESS_OF_LITTLE = 0.3, 0.5, 0.2
 """Where maps share less than the first of the smaller one, more firmness than the third tells no more: the few things
 that stand alike in two places are firm as well. From the second on they need no such caution."""
@@ -202,6 +201,11 @@ def rigidity(figures: Figures) -> float:
     return _ramp(figures.get("firmness", 0.0), LEAST_RIGID, MOST_RIGID)
 
 
+def is_loose(figures: Figures) -> bool:
+    """Whether walls agree within more than LOOSE_TOLERANCE_CELLS only, as those of bent maps do."""
+    return figures["tolerance_cells"] > LOOSE_TOLERANCE_CELLS
+
+
 def _ramp(value: float, low: float, high: float) -> float:
     """From 0 at `low` to 1 at `high`."""
     return min(max((value - low) / (high - low), 0.0), 1.0)
@@ -223,7 +227,7 @@ def _log_crossing(figures: Figures) -> float:
 
 def _log_behind(figures: Figures, strip: str) -> float:
     """Logarithm of how much more is seen in a strip behind walls than USUAL_BEHIND; LOOSE_WEIGHT of it of bent maps."""
-    weight = LOOSE_WEIGHT if figures["tolerance_cells"] > LOOSE_TOLERANCE_CELLS else 1.0
+    weight = LOOSE_WEIGHT if is_loose(figures) else 1.0
     return weight * math.log((figures[strip] + LEAST_BEHIND) / (USUAL_BEHIND + LEAST_BEHIND))
 
 

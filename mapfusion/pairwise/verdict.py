@@ -16,8 +16,9 @@ from mapfusion.pairwise.confidence import (
     Figures,
     confidence,
     fits_better,
+    is_loose,
 )
-from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, TOLERANCES_CELLS
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
 from mapfusion.result import PairFusion
@@ -139,7 +140,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"(at most {MAX_CONTRADICTION:.0%}); {agreement}"
         )
     stray_m = figures["stray_cells"] * cells.resolution_m
-    if stray_m > MAX_STRAY_M and not _is_loose(figures):
+    if stray_m > MAX_STRAY_M and not is_loose(figures):
         return "contradiction", (
             f"a wall of {stray_m:.1f} m strays through the other map's free space (at most {MAX_STRAY_M:g} m may), "
             f"while others agree within {figures['tolerance_cells']:g} cells; {agreement}"
@@ -197,9 +198,8 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
 
 def least_evidence(figures: Figures) -> float:
     """The net evidence that a pose with these figures needs."""
-    is_loose = _is_loose(figures)
-    is_few = figures["lines"] < (FEW_LOOSE_LINES if is_loose else FEW_LINES)
-    return MORE_EVIDENCE if is_few and (is_loose or figures["mutual_ratio"] < SMALL_OVERLAP) else MIN_EVIDENCE
+    is_few = figures["lines"] < (FEW_LOOSE_LINES if is_loose(figures) else FEW_LINES)
+    return MORE_EVIDENCE if is_few and (is_loose(figures) or figures["mutual_ratio"] < SMALL_OVERLAP) else MIN_EVIDENCE
 
 
 def may_turn_on_parts(finding: Finding) -> bool:
@@ -224,7 +224,7 @@ def may_repeat_itself(finding: Finding) -> bool:
 
 def repeats_itself(figures: Figures) -> bool:
     """Whether walls agree because they repeat themselves, as far as they were asked; bent maps disagree anyway."""
-    if figures.get("like_fit", -math.inf) <= LIKE_FIT or figures["recurring"] <= MOST_RECURRING or _is_loose(figures):
+    if figures.get("like_fit", -math.inf) <= LIKE_FIT or figures["recurring"] <= MOST_RECURRING or is_loose(figures):
         return False
     is_little = figures["rest_cells"] * figures["rest_ratio"] < DEPENDENT_CELLS
     return is_little or figures["rest_ratio"] < MIN_REST_RATIO
@@ -233,16 +233,11 @@ def repeats_itself(figures: Figures) -> bool:
 def is_adrift(figures: Figures) -> bool:
     """Whether too few parts of the maps stay where the pose puts them, as far as parts were looked at."""
     is_firm = figures.get("firmness", LEAST_FIRMNESS) >= LEAST_FIRMNESS
-    return not (is_firm or _is_loose(figures)) and _seen_behind(figures) > MOST_SEEN_BEHIND
+    return not (is_firm or is_loose(figures)) and _seen_behind(figures) > MOST_SEEN_BEHIND
 
 
 def _seen_behind(figures: Figures) -> float:
     return figures["behind"] + figures["far_behind"]
-
-
-def _is_loose(figures: Figures) -> bool:
-    """Whether walls agree at the widest tolerance only, as those of bent maps do."""
-    return figures["tolerance_cells"] >= max(TOLERANCES_CELLS)
 
 
 def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_target_source: SE2) -> FloatArray:
