@@ -37,10 +37,11 @@ def _sketched(nearest: Indices, distance: Bytes, depth: Bytes, bins: Indices, no
     codes = np.empty((height, width), np.uint8)
     for row in range(height):
         for column in range(width):
-            codes[row, column] = bins[nearest[row, column]]
+            is_near = distance[row, column] <= NEAR_CELLS
+            codes[row, column] = bins[nearest[row, column]] if is_near else _NOT_NEAR
         # Without the look-up many cells go through the loop at once.
         for column in range(width):
-            code = codes[row, column] if distance[row, column] <= NEAR_CELLS else np.uint8(_NOT_NEAR)
+            code = codes[row, column]
             is_deep = (distance[row, column] > DEEP_CELLS) & (depth[row, column] > DEEP_CELLS)
             flags = np.uint8(_DEEP if is_deep else 0) | np.uint8(UNKNOWN if depth[row, column] == not_known else 0)
             codes[row, column] = code | flags

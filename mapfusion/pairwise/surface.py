@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from mapfusion.compiled import compiled
 from mapfusion.grid import Mask
+from mapfusion.pairwise.nearest import nearest_points
 
 Floats = npt.NDArray[np.float32]
 Points = Floats
@@ -84,8 +85,9 @@ class SurfaceField:
     Attributes:
         surface: The surface, at least one point.
         walls: (N, 4) float32, the surface's x, y and its normals' x, y.
-        nearest: (H, W) int32, index into the surface; cell (0, 0) lies FIELD_MARGIN cells outside the map.
-        distance: (H, W) uint8, whole cells to it, about; 255 from there on.
+        nearest: (H, W) int32, index into the surface, as `nearest_points` gives it; cell (0, 0) lies FIELD_MARGIN
+            cells outside the map.
+        distance: (H, W) uint8, whole cells to it.
         depth: (H, W) uint8, NOT_KNOWN where the map knows neither the cell nor one beside it; else about the distance
             of a free cell to the nearest cell that is not free, cells, as far as MAX_DEPTH, and 0 for other cells.
     """
@@ -243,19 +245,15 @@ def surface_field(surface: Surface, free: Mask, known: Mask) -> SurfaceField:
 
     `free` and `known` are the map's (H, W) masks.
     """
-    elsewhere = _all_but(surface.points, free.shape)
-    distance, labels = cv2.distanceTransformWithLabels(elsewhere, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    nearest = np.asarray(labels, np.int32)  # counted from 1, in row-major order as well
-    nearest -= 1
     depth = _depth(_with_margin(free))
-    near_known = cv2.dilate(_with_margin(known), _BOX)
-    depth = np.maximum(depth, (near_known == 0) * np.uint8(NOT_KNOWN))
+    near_known = np.asarray(cv2.dilate(_with_margin(known), _BOX), np.uint8)
+    nearest, distance = nearest_points(surface.points, depth.shape, FIELD_MARGIN)
     return SurfaceField(
         surface=surface,
         walls=np.concatenate([surface.points, surface.normals], axis=1),
         nearest=nearest,
-        distance=np.asarray(cv2.convertScaleAbs(distance), np.uint8),
-        depth=np.asarray(depth, np.uint8),
+        distance=distance,
+        depth=np.maximum(depth, near_known - np.uint8(1)),  # 0 - 1 is NOT_KNOWN
     )
 
 
@@ -286,17 +284,6 @@ def _discs(points: Points, height: int, width: int, radius_cells: int) -> Bytes:
             half = int(math.sqrt(radius_cells**2 - (other - row) ** 2))
             near[other, max(column - half, 0) : column + half + 1] = 1
     return near
-
-
-def _all_but(points: Points, shape: tuple[int, ...]) -> Bytes:
-    """1 but for 0 at the cells of `points`, in a map of `shape` and FIELD_MARGIN around it.
-
-    What lies beyond the margin counts at its edge.
-    """
-    elsewhere = np.ones((shape[0] + 2 * FIELD_MARGIN, shape[1] + 2 * FIELD_MARGIN), np.uint8)
-    columns, rows = (points + np.float32(FIELD_MARGIN)).astype(np.int32).T
-    elsewhere[rows.clip(0, elsewhere.shape[0] - 1), columns.clip(0, elsewhere.shape[1] - 1)] = 0
-    return elsewhere
 
 
 def _with_margin(mask: Mask) -> Bytes:
