@@ -15,6 +15,7 @@ BORDER = 32
 """Background around the image, cells: ORB is blind in a frame of its patch."""
 BLUR_SIGMA = 1.5
 """Blur of the wall image, cells: binary staircases carry no gradient worth describing."""
+_KERNEL = cv2.getGaussianKernel(9, BLUR_SIGMA, cv2.CV_32F)
 NUM_FEATURES = 500
 NUM_LEVELS = 2
 SCALE_FACTOR = 1.6
@@ -51,7 +52,7 @@ def detect(walls: Mask) -> Features:
         edgeThreshold=16,
         fastThreshold=FAST_THRESHOLD,
     )
-    keypoints, descriptors = orb.detectAndCompute(cv2.GaussianBlur(image, (0, 0), BLUR_SIGMA), None)
+    keypoints, descriptors = orb.detectAndCompute(cv2.sepFilter2D(image, cv2.CV_8U, _KERNEL, _KERNEL), None)
     if not keypoints:
         return Features(np.zeros((0, 2), np.float32), np.zeros(0, np.float32), np.zeros((0, 32), np.uint8))
     points = np.asarray(cv2.KeyPoint.convert(keypoints), np.float32) - np.float32(BORDER - 0.5)

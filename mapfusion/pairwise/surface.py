@@ -34,6 +34,7 @@ POCKET_CELLS = 12
 """Islands of free space of fewer cells are taken for noise."""
 NORMAL_SIGMA = 1.5
 """Blur of the wall image from whose gradient normals are taken, cells."""
+_NORMAL_KERNEL = cv2.getGaussianKernel(9, NORMAL_SIGMA, cv2.CV_32F)
 NOT_KNOWN = 255
 DIRECTION_BINS = 24
 """Directions that are told apart where they are counted."""
@@ -210,7 +211,7 @@ def extract_surface(walls: Mask, free: Mask) -> Surface:
     """The rim of `walls` towards `free` (both (H, W) masks), in row-major order."""
     solid = walls.view(np.uint8)
     rim = np.asarray(cv2.dilate(solid, _CROSS), np.uint8).view(np.bool_) & free
-    blurred = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), NORMAL_SIGMA, borderType=cv2.BORDER_REPLICATE)
+    blurred = cv2.sepFilter2D(solid, cv2.CV_32F, _NORMAL_KERNEL, _NORMAL_KERNEL, borderType=cv2.BORDER_REPLICATE)
     return Surface(*_downhill(np.flatnonzero(rim), np.asarray(blurred, np.float32), DIRECTION_BINS))
 
 
