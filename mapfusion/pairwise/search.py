@@ -10,7 +10,7 @@ import numpy as np
 
 from mapfusion.pairwise.behind import seen_behind
 from mapfusion.pairwise.confidence import confidence_alone, margin, plausibility
-from mapfusion.pairwise.correlation import correlate, likely_rotations
+from mapfusion.pairwise.correlation import STEP_DEGREES, correlate, likely_rotations
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.firmness import firmness
 from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, squared_offsets
@@ -57,11 +57,11 @@ class Effort:
 
     Attributes:
         num_voted: How many poses are taken from the keypoints' votes.
-        num_rotations: How many rotations of the walls as a whole are tried.
+        num_rotations: How many rotations of the walls as a whole are tried, the likely ones first.
         num_starts: How many poses are refined roughly.
         num_candidates: How many of them finely.
-        is_exhaustive: Whether the poses around a pose are tried before it is refined, and large maps are searched at
-            coarser resolutions as well.
+        is_exhaustive: Whether every other one of the other rotations is tried as well, the poses around a pose are
+            tried before it is refined, and large maps are searched at coarser resolutions.
         num_scrutinised: How many poses are looked at closely.
     """
 
@@ -177,11 +177,19 @@ def propose(
         proposed.append(voted[0 if before is None else before.num_voted :])
     if first < last:
         turns_rad = turns(target.features, source.features, matches)
-        rotations = likely_rotations(target.field.surface, source.field.surface, turns_rad)[first:last]
-        proposed.append(correlate(target.field, source.field, source.centre, rotations))
+        rotations = likely_rotations(target.field.surface, source.field.surface, turns_rad)
+        tried = rotations[first:last]
+        if effort.is_exhaustive and not is_coarsened:
+            tried = np.concatenate([tried, _every_other(rotations[last:])])
+        proposed.append(correlate(target.field, source.field, source.centre, tried))
     if is_coarsened:
         proposed.append(_found_coarsely(target, source, effort))
     return scored(target, source, np.concatenate(proposed), COARSE_POINTS)
+
+
+def _every_other(rotations: Poses) -> Poses:
+    """Those of some rotations (R,), in steps of STEP_DEGREES, that are even multiples of a step, radians."""
+    return np.asarray(rotations[np.round(np.degrees(rotations) / STEP_DEGREES) % 2 == 0], np.float64)
 
 
 def _can_be_coarsened(target: PreparedMap, source: PreparedMap) -> bool:
