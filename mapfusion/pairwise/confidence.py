@@ -82,7 +82,7 @@ MIN_FIRMNESS, MAX_FIRMNESS = 0.1, 0.4
 LITTLE_OVERLAP, ENOUGH_OVERLAP, MAX_FIRMNESS_OF_LITTLE = 0.3, 0.5, 0.2
 """Where maps share less than the first of the smaller one, more firmness than the third tells no more: the few things
 that stand alike in two places are firm as well. From the second on they need no such caution."""
-RIGID_TOLERANCE_CELLS, RIGID_LINES, RIGID_RATIO, LEAST_RIGID, MOST_RIGID = 1.5, 6.0, 0.6, 0.35, 0.4
+RIGID_TOLERANCE_CELLS, RIGID_LINES, RIGID_RATIO, LEAST_RIGID, MOST_RIGID = 1.5, 6.0, 0.6, 0.25, 0.35
 """Walls that agree within the first, along at least the second, and at least the third of them all, of which the fourth
 to the fifth belong to parts that stay, agree as those of one rigid place do."""
 CLOSE_RATIOS, CLOSE_NETS = (0.9, 0.97), (100.0, 300.0)

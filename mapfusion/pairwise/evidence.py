@@ -26,7 +26,7 @@ from mapfusion.pairwise.surface import DIRECTION_BINS, NOT_KNOWN, Bytes, Floats,
 TOLERANCES_CELLS = (1.5, 3.0, 6.0)
 DEPENDENT_CELLS = 12.0
 """Length of wall over which neighbouring cells agree or disagree together, an estimate."""
-MIN_EVIDENCE = 20.0
+MIN_EVIDENCE = 15.0
 """Net evidence below which agreement is no better than what a search finds between any two maps."""
 DEEP_TOLERANCES = 2.0
 """A wall this many tolerances inside the other map's free space contradicts it."""

@@ -47,6 +47,9 @@ yet, and leave a pose loose."""
 LEAST_FIRMNESS, MOST_SEEN_BEHIND = 0.25, 0.03
 """Maps that are not bent are not joined where parts with less than the first of the walls stay and one map sees more
 than the second behind the other's walls: half turns of a loop of corridors. Each alone is common."""
+WEAK_CONDITIONING = 0.3
+"""Where walls hold one direction by less than this share of the other, and less than MIN_FIRMNESS of them belongs to
+parts that stay, the pose may have slid: maps of corridors were joined half a metre off."""
 MOST_RECURRING, MIN_REST_RATIO, LIKE_FIT = 0.5, 0.4, -5.0
 """Where more than the first of the walls that agree recur within one of the maps, at least the second of those that do
 not must agree, and along DEPENDENT_CELLS of wall, unless all alignments that follow fit worse by more than the third:
@@ -174,12 +177,18 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"{MIN_REST_RATIO:.0%} and {DEPENDENT_CELLS:.0f} cells must): like parts of a place, but hardly the same; "
             f"{agreement}"
         )
-    if is_adrift(figures):
+    if has_slid(figures) or is_adrift(figures):
+        why = (
+            f"{MIN_FIRMNESS:.0%} where walls hold one direction by less than {WEAK_CONDITIONING:.0%} of the other; is "
+            f"{figures['conditioning']:.0%}"
+            if has_slid(figures)
+            else f"{LEAST_FIRMNESS:.0%} where more than {MOST_SEEN_BEHIND:.0%} of what walls hide is free in the other "
+            f"map; is {_seen_behind(figures):.1%}"
+        )
         return "parts", (
             "parts of the maps would lie as well some cells away: only those that hold "
             f"{figures['firmness']:.0%} of the walls in the common area stay where the alignment puts them (at least "
-            f"{LEAST_FIRMNESS:.0%} where more than {MOST_SEEN_BEHIND:.0%} of what walls hide is free in the other map; "
-            f"is {_seen_behind(figures):.1%}); {agreement}"
+            f"{why}); {agreement}"
         )
     if trust < MIN_CONFIDENCE:
         rivals = (
@@ -228,6 +237,11 @@ def repeats_itself(figures: Figures) -> bool:
         return False
     is_little = figures["rest_cells"] * figures["rest_ratio"] < DEPENDENT_CELLS
     return is_little or figures["rest_ratio"] < MIN_REST_RATIO
+
+
+def has_slid(figures: Figures) -> bool:
+    """Whether nothing holds the pose in one direction, as far as parts were looked at."""
+    return figures["conditioning"] < WEAK_CONDITIONING and figures.get("firmness", MIN_FIRMNESS) < MIN_FIRMNESS
 
 
 def is_adrift(figures: Figures) -> bool:

@@ -103,6 +103,7 @@ def test_good_evidence_is_accepted(place: PreparedMap) -> None:
             replace(finding(net=25.0, behind=0.3, far_behind=0.3, mutual_ratio=0.3, lines=9.0), rival=None),
         ),
         ("parts", finding(firmness=0.05, far_behind=0.05)),
+        ("parts", finding(firmness=0.05, conditioning=0.2, tolerance_cells=6.0)),
         ("ambiguous", replace(finding(), rival=finding().best)),
         (
             "confidence",
@@ -307,6 +308,23 @@ def test_maps_whose_parts_drift_and_that_see_behind_each_others_walls_are_not_jo
     assert result.gate == gate
     if gate:
         assert "stay where the alignment puts them (at least 25% where more than 3%" in result.reason
+
+
+@pytest.mark.parametrize(
+    ("figures", "gate"),
+    [
+        ({"firmness": 0.09, "conditioning": 0.29}, "parts"),
+        ({"firmness": 0.11, "conditioning": 0.29}, ""),
+        ({"firmness": 0.09, "conditioning": 0.31}, ""),
+    ],
+)
+def test_maps_that_may_have_slid_along_their_walls_are_not_joined(
+    place: PreparedMap, figures: dict[str, float], gate: str
+) -> None:
+    result = judged(place, finding(**figures))
+    assert result.gate == gate
+    if gate:
+        assert "(at least 10% where walls hold one direction by less than 30% of the other; is 29%)" in result.reason
 
 
 def test_parts_that_were_not_looked_at_do_not_drift(place: PreparedMap) -> None:
