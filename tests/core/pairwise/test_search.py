@@ -10,8 +10,9 @@ import pytest
 
 from mapfusion.evaluation.pairs import make_pair
 from mapfusion.pairwise import search
-from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION
+from mapfusion.pairwise.correlation import PEAKS_PER_ROTATION, STEP_DEGREES, correlate
 from mapfusion.pairwise.evidence import weigh
+from mapfusion.pairwise.poses import Poses
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap, prepare
 from mapfusion.pairwise.refine import refine
 from mapfusion.pairwise.scrutiny import scrutinise
@@ -27,6 +28,7 @@ from mapfusion.pairwise.search import (
     propose,
     with_rivals_of,
 )
+from mapfusion.pairwise.surface import SurfaceField
 from mapfusion.pairwise.voting import match
 from tests.core.pairwise.test_verdict import GOOD
 from tests.fakes import grid_of, rooms
@@ -105,6 +107,25 @@ def test_a_large_map_with_too_few_walls_for_a_coarser_resolution_is_turned_as_of
     assert sparse.num_walls >= MIN_WALL_CELLS > sparse.coarser.num_walls
     hypotheses = propose(sparse, sparse, match(sparse.features, sparse.features), THOROUGH)
     assert len(hypotheses) >= THOROUGH.num_rotations * 2 * PEAKS_PER_ROTATION
+
+
+def test_a_thorough_search_goes_all_the_way_round(place: PreparedMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The likely rotations and every other one of the rest, none twice by a quick search and the one after it."""
+    tried: list[list[int]] = []
+
+    def noting(target: SurfaceField, source: SurfaceField, centre: Poses, rotations: Poses) -> Poses:
+        tried.append(sorted(round(degrees) for degrees in np.degrees(rotations)))
+        return correlate(target, source, centre, rotations[:1])
+
+    monkeypatch.setattr(search, "correlate", noting)
+    matches = match(place.features, place.features)
+    propose(place, place, matches, QUICK)
+    propose(place, place, matches, THOROUGH, before=QUICK)
+    quick, thorough = tried
+    assert len(quick) == QUICK.num_rotations
+    assert len(set(quick + thorough)) == len(quick) + len(thorough)
+    assert set(range(0, 360, 2 * STEP_DEGREES)) <= set(quick + thorough)
+    assert len(quick) + len(thorough) < 360 // STEP_DEGREES
 
 
 def searched(is_related: bool, worth: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Finding, int]:
