@@ -48,6 +48,7 @@ from mapfusion.pairwise.verdict import (
     MIN_MARGIN,
     MIN_RATIO,
     SLIDING_MARGIN,
+    has_slid,
     is_adrift,
     least_evidence,
     too_little,
@@ -377,7 +378,8 @@ def report(all_judged: Sequence[Judged]) -> None:
         sure[held] = 1.0 / (1.0 + np.exp(-(terms[held] @ weights)))
     best = [one.figures[0] for one in all_judged]
     joined = sure >= MIN_CONFIDENCE
-    joined &= np.array([f["net"] >= least_evidence(f) and not is_adrift(f) for f in best])
+    joined &= np.array([f["net"] >= least_evidence(f, is_searched=True) for f in best])
+    joined &= np.array([not (has_slid(f) or is_adrift(f)) for f in best])
     joined &= np.array([f["ratio"] for f in best]) >= MIN_RATIO
     sliding = np.array([figures["conditioning"] < search.SLIDING_CONDITIONING for figures in best])
     joined &= terms[:, list(CONFIDENCE).index("margin")] >= np.where(sliding, SLIDING_MARGIN, MIN_MARGIN)

@@ -44,6 +44,9 @@ SMALL_OVERLAP, FEW_LINES, FEW_LOOSE_LINES, MORE_EVIDENCE = 0.4, 8.0, 12.0, 70.0
 """Fewer walls than the second, or where they agree loosely than the third, need the fourth where maps share less than
 the first of the smaller one, and where they agree loosely: two or three things that stand alike in both are no place
 yet, and leave a pose loose."""
+WHOLE_OVERLAP = 0.9
+"""A search needs as much of as few walls where maps share more than this of the smaller one: what lies wholly within
+the other map can be laid over any place in it."""
 LEAST_FIRMNESS, MOST_SEEN_BEHIND = 0.25, 0.03
 """Maps that are not bent are not joined where parts with less than the first of the walls stay and one map sees more
 than the second behind the other's walls: half turns of a loop of corridors. Each alone is common."""
@@ -127,7 +130,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         return "no overlap", "the best alignment leaves no cell that both maps know"
     if config.mae_threshold is not None and cells.mae >= config.mae_threshold:
         return "mae", f"mean absolute error {cells.mae:.1f} grey levels, not below {config.mae_threshold:g}"
-    least = least_evidence(figures)
+    least = least_evidence(figures, finding.is_searched)
     if figures["net"] < least:
         return "chance", (
             "agreement is no better than what a search finds between unrelated maps: "
@@ -205,10 +208,13 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
     return "", ""
 
 
-def least_evidence(figures: Figures) -> float:
-    """The net evidence that a pose with these figures needs."""
-    is_few = figures["lines"] < (FEW_LOOSE_LINES if is_loose(figures) else FEW_LINES)
-    return MORE_EVIDENCE if is_few and (is_loose(figures) or figures["mutual_ratio"] < SMALL_OVERLAP) else MIN_EVIDENCE
+def least_evidence(figures: Figures, is_searched: bool) -> float:
+    """The net evidence that a pose with these figures needs, which was searched for or known before."""
+    if figures["lines"] >= (FEW_LOOSE_LINES if is_loose(figures) else FEW_LINES):
+        return MIN_EVIDENCE
+    is_anywhere = is_searched and figures["mutual_ratio"] > WHOLE_OVERLAP
+    is_doubtful = is_loose(figures) or figures["mutual_ratio"] < SMALL_OVERLAP or is_anywhere
+    return MORE_EVIDENCE if is_doubtful else MIN_EVIDENCE
 
 
 def may_turn_on_parts(finding: Finding) -> bool:
@@ -220,7 +226,8 @@ def may_turn_on_parts(finding: Finding) -> bool:
 def _is_enough(finding: Finding, supposed: Figures) -> bool:
     """Whether evidence and confidence would suffice if the best pose had the supposed figures."""
     figures = {**finding.best.figures, **supposed}
-    return figures["net"] >= least_evidence(figures) and confidence(figures, _margin(finding)) >= MIN_CONFIDENCE
+    is_supported = figures["net"] >= least_evidence(figures, finding.is_searched)
+    return is_supported and confidence(figures, _margin(finding)) >= MIN_CONFIDENCE
 
 
 def may_repeat_itself(finding: Finding) -> bool:

@@ -127,15 +127,22 @@ def test_each_weakness_has_its_gate_and_reason(place: PreparedMap, gate: str, fo
         ({"lines": 7.9, "mutual_ratio": 0.41}, MIN_EVIDENCE),
         ({"lines": 11.9, "mutual_ratio": 0.41, "tolerance_cells": 6.0}, MORE_EVIDENCE),
         ({"lines": 12.1, "mutual_ratio": 0.39, "tolerance_cells": 6.0}, MIN_EVIDENCE),
+        ({"lines": 7.9, "mutual_ratio": 0.91}, MORE_EVIDENCE),
+        ({"lines": 8.1, "mutual_ratio": 0.91}, MIN_EVIDENCE),
     ],
 )
-def test_a_few_things_that_maps_sharing_little_have_in_common_or_that_agree_loosely_are_no_place_yet(
+def test_a_few_things_that_two_maps_have_in_common_are_no_place_yet(
     place: PreparedMap, figures: dict[str, float], least: float
 ) -> None:
-    assert least_evidence(GOOD | figures) == least
+    assert least_evidence(GOOD | figures, is_searched=True) == least
     assert judged(place, finding(net=60.0, rival_net=5.0, **figures)).gate in (
         ("chance",) if least == MORE_EVIDENCE else ("", "confidence")
     )
+
+
+def test_a_known_pose_is_not_doubted_for_lying_wholly_within_the_other_map(place: PreparedMap) -> None:
+    within = GOOD | {"lines": 7.9, "mutual_ratio": 1.0}
+    assert least_evidence(within, is_searched=False) == MIN_EVIDENCE
 
 
 def test_a_pose_that_may_slide_must_be_clearly_better_than_its_rival(place: PreparedMap) -> None:
