@@ -17,7 +17,7 @@ from mapfusion.compiled import compiled
 REACH_CELLS = 20
 """How far the nearest point is looked for exactly."""
 BLOCK_CELLS = 4
-"""Beyond, as far again as many times, it is looked for among the first points of blocks of cells this large."""
+"""Beyond, as many times as far, it is looked for among the first points of blocks of cells this large."""
 FAR = 255
 """Distance of a cell that has no point within reach."""
 _OFFSET_BITS = 6
