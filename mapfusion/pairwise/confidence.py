@@ -85,6 +85,8 @@ that stand alike in two places are firm as well. From the second on they need no
 RIGID_TOLERANCE_CELLS, RIGID_LINES, RIGID_RATIO, LEAST_RIGID, MOST_RIGID = 1.5, 6.0, 0.6, 0.25, 0.35
 """Walls that agree within the first, along at least the second, and at least the third of them all, of which the fourth
 to the fifth belong to parts that stay, agree as those of one rigid place do."""
+RIGID_BEHIND, MOST_RIGID_BEHIND = 0.06, 0.1
+"""But less so where one map sees more than the first behind the other's walls, and not from the second on."""
 CLOSE_RATIOS, CLOSE_NETS = (0.9, 0.97), (100.0, 300.0)
 """Shares of walls that agree within RIGID_TOLERANCE_CELLS, and evidence, from which on they count as one and the same
 place, and above which they count as no more."""
@@ -198,7 +200,9 @@ def rigidity(figures: Figures) -> float:
     is_tight = figures["tolerance_cells"] <= RIGID_TOLERANCE_CELLS and figures["ratio"] >= RIGID_RATIO
     if not is_tight or figures["lines"] < RIGID_LINES:
         return 0.0
-    return _ramp(figures.get("firmness", 0.0), LEAST_RIGID, MOST_RIGID)
+    seen_behind = figures["behind"] + figures["far_behind"]
+    of_behind = 1.0 - _ramp(seen_behind, RIGID_BEHIND, MOST_RIGID_BEHIND)
+    return of_behind * _ramp(figures.get("firmness", 0.0), LEAST_RIGID, MOST_RIGID)
 
 
 def is_loose(figures: Figures) -> bool:

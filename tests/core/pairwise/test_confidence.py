@@ -115,6 +115,8 @@ def test_many_tight_walls_whose_parts_stay_are_those_of_one_rigid_place() -> Non
     rigid = FIGURES | {"tolerance_cells": 1.5, "firmness": 0.4, "lines": 6.0}
     assert rigidity(rigid) == 1.0
     assert rigidity(rigid | {"firmness": 0.3}) == pytest.approx(0.5)
+    assert rigidity(rigid | {"behind": 0.05, "far_behind": 0.03}) == pytest.approx(0.5)
+    assert rigidity(rigid | {"behind": 0.02, "far_behind": 0.04}) == pytest.approx(1.0)
     assert rigidity({name: value for name, value in rigid.items() if name != "firmness"}) == 0.0
     for less in ({"firmness": 0.24}, {"tolerance_cells": 3.0}, {"lines": 5.9}, {"ratio": 0.59}):
         assert rigidity(rigid | less) == 0.0
