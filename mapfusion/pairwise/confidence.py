@@ -200,9 +200,13 @@ def rigidity(figures: Figures) -> float:
     is_tight = figures["tolerance_cells"] <= RIGID_TOLERANCE_CELLS and figures["ratio"] >= RIGID_RATIO
     if not is_tight or figures["lines"] < RIGID_LINES:
         return 0.0
-    seen_behind = figures["behind"] + figures["far_behind"]
-    of_behind = 1.0 - _ramp(seen_behind, RIGID_BEHIND, MOST_RIGID_BEHIND)
+    of_behind = 1.0 - _ramp(share_behind(figures), RIGID_BEHIND, MOST_RIGID_BEHIND)
     return of_behind * _ramp(figures.get("firmness", 0.0), LEAST_RIGID, MOST_RIGID)
+
+
+def share_behind(figures: Figures) -> float:
+    """What is seen behind walls, near and far, as shares of what they hide there."""
+    return figures["behind"] + figures["far_behind"]
 
 
 def is_loose(figures: Figures) -> bool:

@@ -41,10 +41,9 @@ def _sketched(nearest: Indices, distance: Bytes, depth: Bytes, bins: Indices, no
             codes[row, column] = bins[nearest[row, column]] if is_near else _NOT_NEAR
         # Without the look-up many cells go through the loop at once.
         for column in range(width):
-            code = codes[row, column]
             is_deep = (distance[row, column] > DEEP_CELLS) & (depth[row, column] > DEEP_CELLS)
             flags = np.uint8(_DEEP if is_deep else 0) | np.uint8(UNKNOWN if depth[row, column] == not_known else 0)
-            codes[row, column] = code | flags
+            codes[row, column] |= flags
     return codes
 
 

@@ -17,6 +17,7 @@ from mapfusion.pairwise.confidence import (
     confidence,
     fits_better,
     is_loose,
+    share_behind,
 )
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
@@ -186,7 +187,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"{figures['conditioning']:.0%}"
             if has_slid(figures)
             else f"{LEAST_FIRMNESS:.0%} where more than {MOST_SEEN_BEHIND:.0%} of what walls hide is free in the other "
-            f"map; is {_seen_behind(figures):.1%}"
+            f"map; is {share_behind(figures):.1%}"
         )
         return "parts", (
             "parts of the maps would lie as well some cells away: only those that hold "
@@ -254,11 +255,7 @@ def has_slid(figures: Figures) -> bool:
 def is_adrift(figures: Figures) -> bool:
     """Whether too few parts of the maps stay where the pose puts them, as far as parts were looked at."""
     is_firm = figures.get("firmness", LEAST_FIRMNESS) >= LEAST_FIRMNESS
-    return not (is_firm or is_loose(figures)) and _seen_behind(figures) > MOST_SEEN_BEHIND
-
-
-def _seen_behind(figures: Figures) -> float:
-    return figures["behind"] + figures["far_behind"]
+    return not (is_firm or is_loose(figures)) and share_behind(figures) > MOST_SEEN_BEHIND
 
 
 def _covariance(target: PreparedMap, source: PreparedMap, finding: Finding, T_target_source: SE2) -> FloatArray:

@@ -2,7 +2,10 @@ import cv2
 import numpy as np
 import pytest
 
+from mapfusion.pairwise.behind import FARTHEST_CELLS
+from mapfusion.pairwise.evidence import TOLERANCES_CELLS
 from mapfusion.pairwise.nearest import BLOCK_CELLS, FAR, REACH_CELLS, nearest_points
+from mapfusion.pairwise.search import WIDE_REACHES
 from mapfusion.pairwise.surface import FIELD_MARGIN
 
 Cells = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
@@ -68,5 +71,6 @@ def test_points_are_counted_from_within_the_margin() -> None:
     assert nearest[4, 7] == 1
 
 
-def test_a_field_reaches_as_far_beyond_its_map_as_walls_are_looked_for() -> None:
+def test_walls_are_looked_for_no_farther_than_they_are_found_exactly() -> None:
     assert FIELD_MARGIN == REACH_CELLS
+    assert max(*WIDE_REACHES, *TOLERANCES_CELLS, FARTHEST_CELLS) <= REACH_CELLS
