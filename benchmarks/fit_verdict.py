@@ -342,7 +342,7 @@ def table(all_judged: Sequence[Judged]) -> tuple[FloatArray, npt.NDArray[np.bool
     return np.array(rows), np.array(right), np.array(counts)
 
 
-def fit_confidence(terms: FloatArray, right: npt.NDArray[np.bool_], counts: npt.NDArray[np.bool_]) -> FloatArray:
+def fit_logistic(terms: FloatArray, right: npt.NDArray[np.bool_], counts: npt.NDArray[np.bool_]) -> FloatArray:
     """Logistic regression by Newton's method, with a ridge on all weights but the bias, which comes first."""
     x, y = terms[counts].copy(), right[counts].astype(np.float64)
     mean, scale = x.mean(axis=0), x.std(axis=0) + 1e-9
@@ -368,13 +368,13 @@ def report(all_judged: Sequence[Judged]) -> None:
     fits = counts & ~is_made
     print(
         "confidence",
-        {n: round(float(w), 3) for n, w in zip(CONFIDENCE, fit_confidence(terms, right, fits), strict=True)},
+        {n: round(float(w), 3) for n, w in zip(CONFIDENCE, fit_logistic(terms, right, fits), strict=True)},
     )
     folds = np.array([zlib.crc32(one.place.encode()) % NUM_FOLDS for one in all_judged])
     sure = np.zeros(len(terms))
     for fold in range(NUM_FOLDS):
         kept, held = folds != fold, folds == fold
-        weights = fit_confidence(terms[kept], right[kept], fits[kept])
+        weights = fit_logistic(terms[kept], right[kept], fits[kept])
         sure[held] = 1.0 / (1.0 + np.exp(-(terms[held] @ weights)))
     best = [one.figures[0] for one in all_judged]
     joined = sure >= MIN_CONFIDENCE

@@ -18,7 +18,7 @@ from mapfusion.pairwise.poses import Poses, between_corners, differ
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.repeats import REPEATS_FIGURES
 from mapfusion.pairwise.search import DISTINCT_DEGREES, distinct_cells
-from mapfusion.pairwise.verdict import MOST_RECURRING, REFUSED_CONFIDENCE
+from mapfusion.pairwise.verdict import REFUSED_CONFIDENCE
 from mapfusion.result import PairFusion
 
 NUM_VERDICTS = 4
@@ -30,9 +30,11 @@ CLOSE_GATES = ("ambiguous", "chance", "confidence", "parts", "repeats")
 """Gates whose figures change as maps are turned."""
 SURE_ALONE, LEAST_HOPE = 0.99, 0.5
 """Joins with less confidence than the first, and refusals with at least the second, are close calls."""
-MAX_TURN_DEVIATION_DEG = {1.5: math.inf, 3.0: 0.9, 6.0: 0.45}
-"""Standard deviation of the rotation from which on it is left open, by the tolerance, cells, within which walls agree:
-small maps of places that changed may be joined two to five degrees off."""
+MOST_RECURRING = 0.5
+"""Where more of the walls that agree recur within one of the maps, an alignment leans on what repeats itself."""
+MAX_TURN_DEVIATION_DEG = 1.1
+"""Standard deviation of the rotation from which on it is left open: small maps of places that changed may be joined two
+to five degrees off."""
 SAME_DEGREES = 1.0
 """Where the rotation is left open, alignments further apart are not the same."""
 
@@ -111,11 +113,10 @@ def _most_repeating(verdicts: Sequence[PairFusion]) -> Mapping[str, float]:
 
 
 def _leaves_rotation_open(verdict: PairFusion) -> bool:
-    """Whether a verdict accepts what walls that do not agree closely hold too loosely."""
+    """Whether a verdict accepts what walls hold too loosely."""
     if not verdict.accepted or verdict.covariance is None:
         return False
-    deviation_deg = math.degrees(math.sqrt(verdict.covariance[2, 2]))
-    return deviation_deg > MAX_TURN_DEVIATION_DEG[verdict.evidence["tolerance_cells"]]
+    return math.degrees(math.sqrt(verdict.covariance[2, 2])) > MAX_TURN_DEVIATION_DEG
 
 
 def _refused(verdicts: Sequence[PairFusion], agreeing: int, target: PreparedMap, source: PreparedMap) -> PairFusion:

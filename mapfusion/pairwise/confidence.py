@@ -48,6 +48,23 @@ CONFIDENCE = {
 `close` are a quarter and half of what is fitted: hardly any wrong alignment of those pairs holds them down, but others
 would."""
 
+UNIQUENESS = {
+    "bias": -10.965,
+    "rest": 3.15,
+    "crossing": -0.304,
+    "contradiction": -2.067,
+    "like_fit": -0.381,
+    "lines": 0.858,
+    "firm_lead": 5.007,
+}
+"""Weights of the logistic model of how probable it is that an alignment that is sure enough otherwise is right, where
+the maps were asked what of them repeats itself."""
+MIN_UNIQUENESS = 0.5
+"""Uniqueness from which on a pose is no like part of a place that repeats itself."""
+LEAST_CONTRADICTION, LEAST_LIKE_FIT, MOST_LIKE_FIT = 0.02, -12.0, 3.0
+"""Walls that stand where the other map has free space, as a share of chance, speak more the more they are than the
+first; alignments that follow and fit worse than by the second, or better than by the third, tell no more."""
+
 MAX_NET = 30.0
 """More evidence than this tells no more of a pose: what repeats itself has it too."""
 MAX_RANKED_NET, MAX_RANKED_LINES, MAX_RANKED_WIDE, MAX_RANKED_NEAR = 50.0, 40.0, 200.0, 100.0
@@ -202,6 +219,25 @@ def rigidity(figures: Figures) -> float:
         return 0.0
     of_behind = 1.0 - _ramp(share_behind(figures), RIGID_BEHIND, MOST_RIGID_BEHIND)
     return of_behind * _ramp(figures.get("firmness", 0.0), LEAST_RIGID, MOST_RIGID)
+
+
+def uniqueness_terms(figures: Figures) -> dict[str, float]:
+    """What the uniqueness is made of, of maps that were asked what of them repeats itself, see `repeats`."""
+    return {
+        "bias": 1.0,
+        "rest": figures["rest_ratio"],
+        "crossing": _log_crossing(figures),
+        "contradiction": math.log(figures["contradiction"] + LEAST_CONTRADICTION),
+        "like_fit": min(max(figures.get("like_fit", LEAST_LIKE_FIT), LEAST_LIKE_FIT), MOST_LIKE_FIT),
+        "lines": _log(figures["lines"]),
+        "firm_lead": figures.get("firm_lead", 0.0),
+    }
+
+
+def uniqueness(figures: Figures) -> float:
+    """Probability that a pose with these figures, sure enough otherwise, is right and no like part of the place."""
+    terms = uniqueness_terms(figures)
+    return 1.0 / (1.0 + math.exp(-sum(UNIQUENESS[name] * value for name, value in terms.items())))
 
 
 def share_behind(figures: Figures) -> float:

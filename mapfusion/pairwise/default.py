@@ -54,14 +54,14 @@ def fuse(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thor
     refusal = verdict.too_little(target, source)
     if refusal is not None:
         return refusal
-    result = _fused(target, source, config, is_thorough)
+    result = single_verdict(target, source, config, is_thorough)
     if not is_close_call(result):
         return result
-    return asked_again(result, target, source, lambda one, other: _fused(one, other, config, is_thorough))
+    return asked_again(result, target, source, lambda one, other: single_verdict(one, other, config, is_thorough))
 
 
-def _fused(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thorough: bool) -> PairFusion:
-    """The verdict on what is found between two maps with walls."""
+def single_verdict(target: PreparedMap, source: PreparedMap, config: FusionConfig, is_thorough: bool) -> PairFusion:
+    """One verdict on two maps with walls, close call or not."""
     matches = match(target.features, source.features)
     found, result = _searched(target, source, config, matches, is_thorough)
     if not (result.accepted and verdict.may_repeat_itself(found)):

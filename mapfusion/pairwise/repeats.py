@@ -10,12 +10,14 @@ missed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from mapfusion.pairwise.confidence import fit, fits_better
-from mapfusion.pairwise.evidence import MIN_EVIDENCE, weigh
+from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, weigh
+from mapfusion.pairwise.firmness import firmness
 from mapfusion.pairwise.poses import Poses, after, differ, distinct, inverse
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import encounters, refine
@@ -35,7 +37,7 @@ from mapfusion.pairwise.search import (
     nearest,
     refine_best,
 )
-from mapfusion.pairwise.surface import NOT_KNOWN
+from mapfusion.pairwise.surface import NOT_KNOWN, Indices
 from mapfusion.pairwise.voting import Matches, match, vote
 
 ON_ITSELF = replace(GLANCE, num_starts=24, num_candidates=12)
@@ -44,9 +46,7 @@ MIN_REPEATED = 70.0
 """Net evidence from which on a map that is laid onto itself repeats itself."""
 MEETS_CELLS = 3.0
 """Walls this near a wall of their own map recur, and this near one of the other map agree."""
-NUM_ASKED = 2000
-"""About so many of a map's walls are asked whether they recur, spread evenly."""
-REPEATS_FIGURES = ("recurring", "rest_cells", "rest_ratio", "like_fit")
+REPEATS_FIGURES = ("recurring", "rest_ratio", "like_fit", "firm_lead")
 """Figures by which a map is asked what repeats itself."""
 NUM_SHIFTED = 8
 """So many alignments that follow from another one are looked at."""
@@ -59,7 +59,7 @@ class Repeats:
     Attributes:
         poses: (K, 3) of the map in itself under which it repeats itself, none of them near the identity, and then their
             inverses.
-        recurs: (N,) which of NUM_ASKED walls of its surface meet another wall under one of them.
+        recurs: (N,) which walls of its surface meet another wall under one of them.
     """
 
     poses: Poses
@@ -81,27 +81,33 @@ def repeats(one: PreparedMap) -> Repeats:
         order = order[net[order] >= MIN_REPEATED]
         poses = poses[order[distinct(poses[order], one.centre, SAME_CELLS, REFINED_DEGREES, len(order))]]
     poses = np.concatenate([poses, inverse(poses)])
-    _, meets = _encountered(one, one, poses)
-    return Repeats(poses, np.logical_or.reduce(meets, axis=0))
+    recurs = np.zeros(one.num_walls, np.bool_)
+    for pose in poses:
+        recurs |= _met(one, one, pose).agrees
+    return Repeats(poses, recurs)
 
 
 def weighed_against_repeats(finding: Finding, target: PreparedMap, source: PreparedMap, matches: Matches) -> Finding:
     """The finding with what recurs of its walls among its figures, and as its rival what follows and fits better.
 
-    The figures are: `recurring`, the share of the agreeing walls that recur within their map; `rest_cells`, the walls
-    in the area known in both that do not; `rest_ratio`, the share of these that agree; and `like_fit`, by how much the
-    alignment that follows and fits best fits better than the best one, where one follows.
+    The figures are: `recurring`, the share of the agreeing walls that recur within their map; `rest_ratio`, the share
+    that agrees of the walls in the area known in both that recur in neither map, of the map for which it is more;
+    `like_fit`, by how much the alignment that follows and fits best fits better than the best one, where one follows;
+    and `firm_lead`, by how much more of the best one's parts stay than of its rival's, where it has one.
     """
     of_target, of_source = repeats(target), repeats(source)
     best = finding.best
-    figures = best.figures | _recurring(target, source, best.pose, of_target, of_source)
+    figures = best.figures | _what_recurs(target, source, best.pose, of_target, of_source)
     follow = np.concatenate([after(best.pose, of_source.poses), after(of_target.poses, best.pose)])
     followed = _followed(target, source, best, follow, matches)
     if followed:
         figures["like_fit"] = max(fit(one.figures) for one in followed) - fit(figures)
     better = [one for one in followed if fits_better(one.figures, figures)]
     rivals = better if finding.rival is None else [finding.rival, *better]
-    return replace(finding, best=replace(best, figures=figures), rival=nearest(best, rivals))
+    rival = nearest(best, rivals)
+    if rival is not None:
+        figures["firm_lead"] = figures["firmness"] - firmness(target, source, rival.pose)
+    return replace(finding, best=replace(best, figures=figures), rival=rival)
 
 
 def _elsewhere(one: PreparedMap, poses: Poses) -> Poses:
@@ -115,35 +121,46 @@ def _apart(poses: Poses, pose: Poses, target: PreparedMap, source: PreparedMap) 
     return np.asarray(poses[apart], np.float64)
 
 
-def _encountered(
-    there: PreparedMap, here: PreparedMap, poses: Poses
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """(K, N) which of NUM_ASKED walls of `here` `there` knows, and which meet a wall of it, under poses (K, 3)."""
+class _Met(NamedTuple):
+    """What the N walls of one map meet in another one, (N,).
+
+    Attributes:
+        known: Which of them the other map knows.
+        agrees: Which of these meet a wall of it.
+        walls: The nearest wall of it, by index.
+    """
+
+    known: npt.NDArray[np.bool_]
+    agrees: npt.NDArray[np.bool_]
+    walls: Indices
+
+
+def _met(there: PreparedMap, here: PreparedMap, pose: Poses) -> _Met:
+    """What the walls of `here` meet in `there` under a pose (3,)."""
     assert there.field is not None
     assert here.field is not None
-    found = encounters(there.field, here.field.surface.thinned(NUM_ASKED), poses)
-    known = there.field.depth.ravel().take(found.cells) != NOT_KNOWN
-    return known, known & found.same_side & (found.squared <= MEETS_CELLS**2)
+    found = encounters(there.field, here.field.surface, pose[None])
+    known = there.field.depth.ravel().take(found.cells[0]) != NOT_KNOWN
+    agrees = known & found.same_side[0] & (found.squared[0] <= MEETS_CELLS**2)
+    return _Met(known, agrees, there.field.nearest.ravel().take(found.cells[0]))
 
 
-def _recurring(
+def _what_recurs(
     target: PreparedMap, source: PreparedMap, pose: Poses, of_target: Repeats, of_source: Repeats
 ) -> dict[str, float]:
-    agreeing = agreeing_rest = rest = 0.0
-    for there, here, move, own in (
-        (target, source, pose[None], of_source),
-        (source, target, inverse(pose[None]), of_target),
+    num_agreeing, num_recurring, rest_ratio = 0, 0, 0.0
+    for there, here, move, others, own in (
+        (target, source, pose, of_target.recurs, of_source.recurs),
+        (source, target, inverse(pose[None])[0], of_source.recurs, of_target.recurs),
     ):
-        (known,), (agrees,) = _encountered(there, here, move)
-        of_all = here.num_walls / len(own.recurs)
-        agreeing += of_all * np.count_nonzero(agrees)
-        agreeing_rest += of_all * np.count_nonzero(agrees & ~own.recurs)
-        rest += of_all * np.count_nonzero(known & ~own.recurs)
-    return {
-        "recurring": float(1.0 - agreeing_rest / max(agreeing, 1.0)),
-        "rest_cells": float(rest),
-        "rest_ratio": float(agreeing_rest / max(rest, 1.0)),
-    }
+        met = _met(there, here, move)
+        num_agreeing += int(np.count_nonzero(met.agrees))
+        num_recurring += int(np.count_nonzero(met.agrees & own))
+        # A wall that agrees with one that recurs may have its like where its own map does not show it.
+        is_rest = met.known & ~own & ~(met.agrees & others.take(met.walls))
+        num_rest = float(np.count_nonzero(is_rest)) + DEPENDENT_CELLS / 2.0
+        rest_ratio = max(rest_ratio, float(np.count_nonzero(is_rest & met.agrees)) / num_rest)
+    return {"recurring": num_recurring / max(num_agreeing, 1), "rest_ratio": rest_ratio}
 
 
 def _followed(

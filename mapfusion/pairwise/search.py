@@ -152,10 +152,13 @@ class Finding:
     def covariance(self) -> Poses:
         """(3, 3) of where the source's centre lies, cells, and of the rotation, radians.
 
-        The information matrix counts wall cells; neighbouring ones err together, so DEPENDENT_CELLS of them count as
-        one.
+        The information matrix counts wall cells. Neighbouring ones err together, so DEPENDENT_CELLS of them count as
+        one; and so do all of one wall, where maps are bent or things were moved.
         """
-        variance = DEPENDENT_CELLS * max(self.best.figures["residual_cells"], MIN_RESIDUAL_CELLS) ** 2
+        figures = self.best.figures
+        num_agreeing = figures["ratio"] * figures["num_walls"]
+        cells_as_one = max(DEPENDENT_CELLS, num_agreeing / max(figures["lines"], 1.0))
+        variance = cells_as_one * max(figures["residual_cells"], MIN_RESIDUAL_CELLS) ** 2
         return np.asarray(variance * np.linalg.inv(self.information + 1e-3 * np.eye(3)), np.float64)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from mapfusion.config import FusionConfig
@@ -13,13 +11,15 @@ from mapfusion.pairwise.confidence import (
     MAX_MARGIN,
     MIN_CONFIDENCE,
     MIN_FIRMNESS,
+    MIN_UNIQUENESS,
     Figures,
     confidence,
     fits_better,
     is_loose,
     share_behind,
+    uniqueness,
 )
-from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE
+from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.search import SLIDING_CONDITIONING, Finding
 from mapfusion.result import PairFusion
@@ -54,10 +54,6 @@ than the second behind the other's walls: half turns of a loop of corridors. Eac
 WEAK_CONDITIONING = 0.3
 """Where walls hold one direction by less than this share of the other, and less than MIN_FIRMNESS of them belongs to
 parts that stay, the pose may have slid: maps of corridors were joined half a metre off."""
-MOST_RECURRING, MIN_REST_RATIO, LIKE_FIT = 0.5, 0.4, -5.0
-"""Where more than the first of the walls that agree recur within one of the maps, at least the second of those that do
-not must agree, and along DEPENDENT_CELLS of wall, unless all alignments that follow fit worse by more than the third:
-in a maze every wall has its like, but together they fit nowhere else."""
 SLIGHT_CONTRADICTION, STRONG_RIVAL = 0.02, 0.5
 """Maps that contradict each other by more than this share of chance, or have a rival with more than this share of the
 evidence, are asked whether they repeat themselves."""
@@ -176,10 +172,10 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         )
     if repeats_itself(figures):
         return "repeats", (
-            f"{figures['recurring']:.0%} of the walls that agree have their like elsewhere in the same map, and of "
-            f"the other {figures['rest_cells']:.0f} wall cells {figures['rest_ratio']:.0%} agree (at least "
-            f"{MIN_REST_RATIO:.0%} and {DEPENDENT_CELLS:.0f} cells must): like parts of a place, but hardly the same; "
-            f"{agreement}"
+            f"{figures['recurring']:.0%} of the walls that agree have their like elsewhere in the same map; of those "
+            f"that have none {figures['rest_ratio']:.0%} agree, and walls stand in free space "
+            f"{figures['contradiction']:.0%} as often as by chance: like parts of a place, but hardly the same "
+            f"({uniqueness(figures):.2f}, at least {MIN_UNIQUENESS:g} is needed); {agreement}"
         )
     if has_slid(figures) or is_adrift(figures):
         why = (
@@ -241,10 +237,7 @@ def may_repeat_itself(finding: Finding) -> bool:
 
 def repeats_itself(figures: Figures) -> bool:
     """Whether walls agree because they repeat themselves, as far as they were asked; bent maps disagree anyway."""
-    if figures.get("like_fit", -math.inf) <= LIKE_FIT or figures["recurring"] <= MOST_RECURRING or is_loose(figures):
-        return False
-    is_little = figures["rest_cells"] * figures["rest_ratio"] < DEPENDENT_CELLS
-    return is_little or figures["rest_ratio"] < MIN_REST_RATIO
+    return "rest_ratio" in figures and not is_loose(figures) and uniqueness(figures) < MIN_UNIQUENESS
 
 
 def has_slid(figures: Figures) -> bool:

@@ -1,4 +1,4 @@
-"""The two models of the verdict: what speaks for an alignment, and what against it."""
+"""The models of the verdict: what speaks for an alignment, and what against it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mapfusion.pairwise.confidence import (
     MAX_NET,
     MIN_CONFIDENCE,
     PLAUSIBILITY,
+    UNIQUENESS,
     USUAL_BEHIND,
     closeness,
     confidence,
@@ -26,6 +27,8 @@ from mapfusion.pairwise.confidence import (
     plausibility,
     plausibility_terms,
     rigidity,
+    uniqueness,
+    uniqueness_terms,
 )
 
 FIGURES = {
@@ -47,11 +50,34 @@ FIGURES = {
     "inliers_near": 20.0,
     "inliers_wide": 40.0,
 }
+ASKED = FIGURES | {"recurring": 0.6, "rest_ratio": 0.5, "like_fit": -2.0, "firm_lead": 0.1, "contradiction": 0.1}
 
 
 def test_every_term_has_a_weight() -> None:
     assert plausibility_terms(FIGURES).keys() == PLAUSIBILITY.keys()
     assert confidence_terms(FIGURES, 1.0).keys() == CONFIDENCE.keys()
+    assert uniqueness_terms(ASKED).keys() == UNIQUENESS.keys()
+
+
+@pytest.mark.parametrize(
+    "better",
+    [
+        {"rest_ratio": 0.6},
+        {"crossing": 0.0},
+        {"contradiction": 0.0},
+        {"like_fit": -3.0},
+        {"lines": 20.0},
+        {"firm_lead": 0.3},
+    ],
+)
+def test_uniqueness_grows_with_what_tells_a_place_from_its_like(better: dict[str, float]) -> None:
+    assert uniqueness(ASKED) < uniqueness(ASKED | better) < 1.0
+
+
+def test_where_nothing_follows_nothing_of_it_fits() -> None:
+    without = {name: value for name, value in ASKED.items() if name not in ("like_fit", "firm_lead")}
+    assert uniqueness(without) == uniqueness(ASKED | {"like_fit": -12.0, "firm_lead": 0.0})
+    assert uniqueness(ASKED | {"like_fit": -30.0}) == uniqueness(ASKED | {"like_fit": -12.0})
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from mapfusion.grid import Cells
 from mapfusion.pairwise import search
 from mapfusion.pairwise.poses import after
 from mapfusion.pairwise.prepared import PreparedMap, prepare
-from mapfusion.pairwise.repeats import NUM_ASKED, repeats, weighed_against_repeats
+from mapfusion.pairwise.repeats import repeats, weighed_against_repeats
 from mapfusion.pairwise.search import Candidate, Finding
 from mapfusion.pairwise.verdict import may_repeat_itself, repeats_itself
 from mapfusion.pairwise.voting import match
@@ -42,7 +42,8 @@ def map_of(cells: Cells) -> PreparedMap:
 def found_at(target: PreparedMap, source: PreparedMap, x: float) -> Finding:
     """What a search says of the source moved along x, without a rival."""
     matches = match(target.features, source.features)
-    return replace(search.recheck(target, source, np.array([x, 0.0, 0.0]), matches), is_searched=True)
+    found = search.recheck(target, source, np.array([x, 0.0, 0.0]), matches)
+    return replace(search.with_firmness(found, target, source), is_searched=True)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_only_walls_with_their_like_elsewhere_recur(row: PreparedMap) -> None:
     place[-20:-8, 100:130] = 100  # a thing of its own, in the corridor
     marked = map_of(place)
     assert marked.field is not None
-    (x, y), recurs = marked.field.surface.thinned(NUM_ASKED).points.T, repeats(marked).recurs
+    (x, y), recurs = marked.field.surface.points.T, repeats(marked).recurs
     at_thing = (x > 98) & (x < 132) & (y > place.shape[0] - 22) & (y < place.shape[0] - 6)
     assert recurs[at_thing].mean() < 0.3
     assert recurs[~at_thing].mean() > 0.8
@@ -130,3 +131,29 @@ def test_the_right_pose_has_no_such_rival() -> None:
     stronger = Candidate(np.array([9.0, 9.0, 0.0]), finding.best.figures)
     known = replace(finding, rival=stronger)
     assert weighed_against_repeats(known, target, source, match(target.features, source.features)).rival is stronger
+
+
+def test_a_wall_that_agrees_with_one_that_recurs_is_no_such_sign() -> None:
+    room = row_of_rooms(1)
+    room[-24:-4, 5:58] = 100  # a thing of its own, which the other map does not have
+    target, source = map_of(row_of_rooms(4)), map_of(room)
+    assert repeats(source).recurs.mean() < 0.1
+    found = found_at(target, source, 0.0)
+    assert found.best.figures["ratio"] > 0.6
+    figures = weighed_against_repeats(found, target, source, match(target.features, source.features)).best.figures
+    assert figures["rest_ratio"] < 0.2
+
+
+def test_a_rival_s_parts_are_told_from_the_best_one_s() -> None:
+    target, source = map_of(row_of_rooms(6, before=50)), map_of(row_of_rooms(4, before=50))
+    matches = match(target.features, source.features)
+    best = found_at(target, source, 0.0)
+    assert "firm_lead" not in weighed_against_repeats(best, target, source, matches).best.figures or best.rival is None
+    room_off = found_at(target, source, float(PITCH)).best
+    weighed = weighed_against_repeats(replace(best, rival=room_off), target, source, matches)
+    assert weighed.rival is not None
+    lead = (
+        best.best.figures["firmness"]
+        - search.with_firmness(replace(best, best=weighed.rival), target, source).best.figures["firmness"]
+    )
+    assert weighed.best.figures["firm_lead"] == lead

@@ -94,10 +94,17 @@ def test_what_walls_fix_belongs_to_the_pose_that_is_kept(place: PreparedMap, mon
 
 
 def test_where_walls_fix_nothing_the_covariance_is_large_and_finite() -> None:
-    nothing = Finding(Candidate(np.zeros(3), GOOD | {"residual_cells": 0.0}), np.zeros((3, 3)))
+    nothing = Finding(Candidate(np.zeros(3), GOOD | {"residual_cells": 0.0, "num_walls": 40.0}), np.zeros((3, 3)))
     exact = replace(nothing, information=1000.0 * np.eye(3))
     assert np.allclose(np.diag(nothing.covariance), 12.0 * 0.3**2 / 1e-3)
     assert np.allclose(np.diag(exact.covariance), 12.0 * 0.3**2 / 1000.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("lines", "cells_as_one"), [(5.0, 80.0), (20.0, 20.0), (100.0, 12.0)])
+def test_cells_of_one_wall_fix_a_pose_together(lines: float, cells_as_one: float) -> None:
+    figures = GOOD | {"residual_cells": 2.0, "num_walls": 800.0, "ratio": 0.5, "lines": lines}
+    found = Finding(Candidate(np.zeros(3), figures), 400.0 * np.eye(3))
+    assert np.allclose(np.diag(found.covariance), cells_as_one * 2.0**2 / 400.0, rtol=1e-3)
 
 
 def test_a_large_map_with_too_few_walls_for_a_coarser_resolution_is_turned_as_often_as_any() -> None:

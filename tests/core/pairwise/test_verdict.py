@@ -9,7 +9,7 @@ import pytest
 
 from mapfusion.config import FusionConfig
 from mapfusion.pairwise.agreement import Agreement
-from mapfusion.pairwise.confidence import MIN_CONFIDENCE, confidence_alone
+from mapfusion.pairwise.confidence import MIN_CONFIDENCE, confidence_alone, uniqueness
 from mapfusion.pairwise.evidence import MIN_EVIDENCE
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.search import Candidate, Finding
@@ -53,7 +53,7 @@ GOOD = {
 AGREEMENT = Agreement(mae=5.0, overlap_cells=10_000, overlap_ratio=0.5, resolution_m=0.1)
 RIVAL_FIGURES = {"ratio": 0.4, "lines": 8.0, "keypoints": 1.0, "inliers_near": 20.0, "inliers_wide": 40.0}
 CROSSING = {"crossing": 0.3, "crossing_cells": 60.0}
-REPEATED = {"recurring": 0.6, "rest_cells": 400.0, "rest_ratio": 0.3, "like_fit": -2.0}
+REPEATED = {"recurring": 0.6, "rest_ratio": 0.3, "like_fit": -2.0, "contradiction": 0.1, "crossing": 0.02}
 RIVAL = SE2(1.0, 2.0, 3.0)
 
 
@@ -240,14 +240,21 @@ def test_a_wall_that_strays_for_metres_refuses_maps_that_are_not_bent(place: Pre
     assert judged(place, finding(stray_cells=65.0, tolerance_cells=6.0)).accepted
 
 
-def test_walls_that_do_not_recur_must_agree_where_most_recur(place: PreparedMap) -> None:
+def test_walls_that_do_not_recur_must_agree_where_maps_repeat_themselves(place: PreparedMap) -> None:
     refused = judged(place, finding(**REPEATED))
+    assert (refused.accepted, refused.gate) == (False, "repeats")
     assert "60% of the walls that agree have their like elsewhere in the same map" in refused.reason
-    assert "of the other 400 wall cells 30% agree" in refused.reason
-    for enough in ({"recurring": 0.5}, {"rest_ratio": 0.4}, {"tolerance_cells": 6.0}, {"like_fit": -5.1}):
+    assert (
+        "of those that have none 30% agree, and walls stand in free space 10% as often as by chance" in refused.reason
+    )
+    assert f"({uniqueness(finding(**REPEATED).best.figures):.2f}, at least 0.5 is needed)" in refused.reason
+    for enough in (
+        {"rest_ratio": 0.9},
+        {"like_fit": -8.0},
+        {"contradiction": 0.02, "crossing": 0.0},
+        {"tolerance_cells": 6.0},
+    ):
         assert judged(place, finding(**(REPEATED | enough))).accepted, enough
-    assert judged(place, finding(**(REPEATED | {"rest_cells": 11.0, "rest_ratio": 1.0}))).gate == "repeats"
-    assert judged(place, finding(**(REPEATED | {"rest_cells": 13.0, "rest_ratio": 1.0}))).accepted
     assert not repeats_itself(GOOD)
 
 
