@@ -1,10 +1,10 @@
 """Fits `UNIQUENESS` of `mapfusion.pairwise.confidence` on places that repeat themselves, and says how it would do.
 
-    python benchmarks/fit_repeats.py FOLDER --seed 9931
+    python benchmarks/fit_repeats.py FOLDER --seed 9951
 
 FOLDER has real pairs of maps with truth, as for fit_verdict.py. From them come views as there, with and without
 overlap, and views of the same places with a second wing like the first; and from places.py halls of racks, corridors
-of rooms and mazes. Fitted is on the pairs whose first verdict asked what repeats itself: whether it was right. Places
+of rooms and mazes. Fitted is on the pairs whose first verdict turns on what repeats itself: whether it is right. Places
 are held out whole, in turn, when the model is judged. Real views count four times: places made up of copies are many
 here, and few in the world.
 """
@@ -37,7 +37,7 @@ from fit_verdict import (
 from places import PLACES, repeating_views
 
 from mapfusion.config import FusionConfig
-from mapfusion.pairwise.confidence import MIN_UNIQUENESS, UNIQUENESS, Figures, is_loose, uniqueness_terms
+from mapfusion.pairwise.confidence import MIN_RECURRING, MIN_UNIQUENESS, UNIQUENESS, Figures, is_loose, uniqueness_terms
 from mapfusion.pairwise.default import prepare, single_verdict
 from mapfusion.pairwise.verdict import too_little
 from mapfusion.transform import FloatArray
@@ -56,7 +56,7 @@ class Asked(NamedTuple):
 
 
 def asked(pair: Pair) -> Asked | None:
-    """What a pair's first verdict says; None where nothing was asked, and of bent maps and nearly right alignments."""
+    """What a pair's first verdict says; None where it does not turn on what repeats itself, or is only nearly right."""
     cv2.setNumThreads(1)
     maps = [prepare(grid, RESOLUTION_M) for grid in (pair.a, pair.b)]
     if too_little(maps[0], maps[1]) is not None:
@@ -65,7 +65,8 @@ def asked(pair: Pair) -> Asked | None:
     target, source = reversed(maps) if is_swapped else maps
     verdict = single_verdict(target, source, FusionConfig(), is_thorough=True)
     T = verdict.T_target_source
-    if T is None or "rest_ratio" not in verdict.evidence or is_loose(verdict.evidence):
+    is_repeating = verdict.evidence.get("recurring", 0.0) > MIN_RECURRING and not is_loose(verdict.evidence)
+    if T is None or not is_repeating or verdict.gate == "ambiguous":
         return None
     is_right, is_near = compare(pair, T.inverse() if is_swapped else T)
     return None if is_near else Asked(pair.kind, pair.place, verdict.evidence, is_right)

@@ -1,4 +1,6 @@
-"""Fits the models of `mapfusion.pairwise.confidence` on pairs of maps with known truth, and says how they would do.
+"""Fits PLAUSIBILITY and CONFIDENCE of `mapfusion.pairwise.confidence` on pairs of maps with known truth.
+
+It says how they would do, too.
 
     python benchmarks/fit_verdict.py PAIRS... --simulated 200
 

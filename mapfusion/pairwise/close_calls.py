@@ -71,7 +71,8 @@ def asked_again(
     if agreeing < _least_agreeing(verdicts):
         chosen = _refused(verdicts, agreeing, target, source)
     counts = {"verdicts": float(len(verdicts)), "agreeing": float(agreeing)}
-    return replace(chosen, evidence={**chosen.evidence, **_most_repeating(verdicts), **counts})
+    own = {name: value for name, value in chosen.evidence.items() if name not in REPEATS_FIGURES}
+    return replace(chosen, evidence={**own, **_most_repeating(verdicts), **counts})
 
 
 def _turned(one: PreparedMap, quarters: int) -> PreparedMap:
@@ -98,7 +99,9 @@ def _pose(verdict: PairFusion, target: PreparedMap, source: PreparedMap) -> Pose
 
 
 def _least_agreeing(verdicts: Sequence[PairFusion]) -> int:
-    is_doubted = any(one.gate == "ambiguous" or _repeats_itself(one) or _leaves_rotation_open(one) for one in verdicts)
+    is_doubted = any(
+        one.gate in ("ambiguous", "repeats") or _repeats_itself(one) or _leaves_rotation_open(one) for one in verdicts
+    )
     return MIN_AGREEING_IN_DOUBT if is_doubted else MIN_AGREEING
 
 

@@ -1,8 +1,9 @@
-"""How far an alignment is to be trusted, and by how much one is to be preferred to another: two fitted models.
+"""How far an alignment is to be trusted, by how much one is to be preferred to another, and whether it is no like part
+of a place that repeats itself: three fitted models.
 
-Both are linear in a few terms of the figures that `evidence`, `scrutiny`, `keypoints` and `firmness` give.
-`benchmarks/fit_verdict.py` fits them on pairs with known truth; benchmarks/RESULTS.md says on which, and how they do on
-buildings that were held out.
+All are linear in a few terms of the figures that `evidence`, `scrutiny`, `keypoints`, `firmness` and `repeats` give.
+`benchmarks/fit_verdict.py` fits the first two on pairs with known truth and `benchmarks/fit_repeats.py` the third;
+benchmarks/RESULTS.md says on which, and how they do on places that were held out.
 """
 
 from __future__ import annotations
@@ -49,21 +50,23 @@ CONFIDENCE = {
 would."""
 
 UNIQUENESS = {
-    "bias": -10.965,
-    "rest": 3.15,
-    "crossing": -0.304,
-    "contradiction": -2.067,
-    "like_fit": -0.381,
-    "lines": 0.858,
-    "firm_lead": 5.007,
+    "bias": -13.231,
+    "rest": 3.314,
+    "crossing": -0.592,
+    "contradiction": -2.471,
+    "like_fit": -0.437,
+    "lines": 0.84,
+    "firm_lead": 7.929,
 }
 """Weights of the logistic model of how probable it is that an alignment that is sure enough otherwise is right, where
 the maps were asked what of them repeats itself."""
 MIN_UNIQUENESS = 0.5
 """Uniqueness from which on a pose is no like part of a place that repeats itself."""
-LEAST_CONTRADICTION, LEAST_LIKE_FIT, MOST_LIKE_FIT = 0.02, -12.0, 3.0
+MIN_RECURRING = 0.2
+"""Where no more of the walls that agree recur, a place does not repeat itself."""
+LEAST_CONTRADICTION, LEAST_LIKE_FIT = 0.02, -12.0
 """Walls that stand where the other map has free space, as a share of chance, speak more the more they are than the
-first; alignments that follow and fit worse than by the second, or better than by the third, tell no more."""
+first; alignments that follow and fit worse than by the second tell no more."""
 
 MAX_NET = 30.0
 """More evidence than this tells no more of a pose: what repeats itself has it too."""
@@ -228,9 +231,9 @@ def uniqueness_terms(figures: Figures) -> dict[str, float]:
         "rest": figures["rest_ratio"],
         "crossing": _log_crossing(figures),
         "contradiction": math.log(figures["contradiction"] + LEAST_CONTRADICTION),
-        "like_fit": min(max(figures.get("like_fit", LEAST_LIKE_FIT), LEAST_LIKE_FIT), MOST_LIKE_FIT),
-        "lines": _log(figures["lines"]),
-        "firm_lead": figures.get("firm_lead", 0.0),
+        "like_fit": max(figures.get("like_fit", LEAST_LIKE_FIT), LEAST_LIKE_FIT),
+        "lines": _log(min(figures["lines"], MAX_RANKED_LINES)),
+        "firm_lead": figures["firm_lead"],
     }
 
 

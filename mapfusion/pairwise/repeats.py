@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mapfusion.pairwise.confidence import fit, fits_better
-from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, weigh
+from mapfusion.pairwise.evidence import MIN_EVIDENCE, weigh
 from mapfusion.pairwise.firmness import firmness
 from mapfusion.pairwise.poses import Poses, after, differ, distinct, inverse
 from mapfusion.pairwise.prepared import PreparedMap
@@ -46,6 +46,8 @@ MIN_REPEATED = 70.0
 """Net evidence from which on a map that is laid onto itself repeats itself."""
 MEETS_CELLS = 3.0
 """Walls this near a wall of their own map recur, and this near one of the other map agree."""
+FEW_CELLS = 6.0
+"""So many walls more that do not agree are reckoned with those that recur in neither map: a few are soon all."""
 REPEATS_FIGURES = ("recurring", "rest_ratio", "like_fit", "firm_lead")
 """Figures by which a map is asked what repeats itself."""
 NUM_SHIFTED = 8
@@ -90,10 +92,14 @@ def repeats(one: PreparedMap) -> Repeats:
 def weighed_against_repeats(finding: Finding, target: PreparedMap, source: PreparedMap, matches: Matches) -> Finding:
     """The finding with what recurs of its walls among its figures, and as its rival what follows and fits better.
 
-    The figures are: `recurring`, the share of the agreeing walls that recur within their map; `rest_ratio`, the share
-    that agrees of the walls in the area known in both that recur in neither map, of the map for which it is more;
-    `like_fit`, by how much the alignment that follows and fits best fits better than the best one, where one follows;
-    and `firm_lead`, by how much more of the best one's parts stay than of its rival's, where it has one.
+    The finding's best pose must have its firmness among its figures. Those that come to them are:
+
+    - `recurring`, the share of the agreeing walls that recur within their map;
+    - `rest_ratio`, the share that agrees of the walls in the area known in both that recur in neither map, FEW_CELLS
+      more reckoned with, of the map for which it is more;
+    - `like_fit`, by how much the alignment that follows and fits best fits better than the best one, where one follows;
+    - `firm_lead`, by how much more of the best one's parts stay than of its rival's or, where it has none, of those of
+      the nearest one that follows; its own firmness where there is neither.
     """
     of_target, of_source = repeats(target), repeats(source)
     best = finding.best
@@ -105,8 +111,8 @@ def weighed_against_repeats(finding: Finding, target: PreparedMap, source: Prepa
     better = [one for one in followed if fits_better(one.figures, figures)]
     rivals = better if finding.rival is None else [finding.rival, *better]
     rival = nearest(best, rivals)
-    if rival is not None:
-        figures["firm_lead"] = figures["firmness"] - firmness(target, source, rival.pose)
+    other = nearest(best, followed) if rival is None else rival
+    figures["firm_lead"] = figures["firmness"] - (0.0 if other is None else firmness(target, source, other.pose))
     return replace(finding, best=replace(best, figures=figures), rival=rival)
 
 
@@ -158,7 +164,7 @@ def _what_recurs(
         num_recurring += int(np.count_nonzero(met.agrees & own))
         # A wall that agrees with one that recurs may have its like where its own map does not show it.
         is_rest = met.known & ~own & ~(met.agrees & others.take(met.walls))
-        num_rest = float(np.count_nonzero(is_rest)) + DEPENDENT_CELLS / 2.0
+        num_rest = float(np.count_nonzero(is_rest)) + FEW_CELLS
         rest_ratio = max(rest_ratio, float(np.count_nonzero(is_rest & met.agrees)) / num_rest)
     return {"recurring": num_recurring / max(num_agreeing, 1), "rest_ratio": rest_ratio}
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mapfusion.pairwise.behind import seen_behind
-from mapfusion.pairwise.confidence import confidence_alone, margin, plausibility
+from mapfusion.pairwise.confidence import RIGID_TOLERANCE_CELLS, confidence_alone, margin, plausibility
 from mapfusion.pairwise.correlation import STEP_DEGREES, correlate, likely_rotations
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.firmness import firmness
@@ -153,11 +153,12 @@ class Finding:
         """(3, 3) of where the source's centre lies, cells, and of the rotation, radians.
 
         The information matrix counts wall cells. Neighbouring ones err together, so DEPENDENT_CELLS of them count as
-        one; and so do all of one wall, where maps are bent or things were moved.
+        one; and so do all of one wall where walls do not agree closely, as maps are bent or things were moved.
         """
-        figures = self.best.figures
-        num_agreeing = figures["ratio"] * figures["num_walls"]
-        cells_as_one = max(DEPENDENT_CELLS, num_agreeing / max(figures["lines"], 1.0))
+        figures, cells_as_one = self.best.figures, DEPENDENT_CELLS
+        if figures["tolerance_cells"] > RIGID_TOLERANCE_CELLS:
+            num_agreeing = figures["ratio"] * figures["num_walls"]
+            cells_as_one = max(DEPENDENT_CELLS, num_agreeing / max(figures["lines"], 1.0))
         variance = cells_as_one * max(figures["residual_cells"], MIN_RESIDUAL_CELLS) ** 2
         return np.asarray(variance * np.linalg.inv(self.information + 1e-3 * np.eye(3)), np.float64)
 

@@ -11,6 +11,7 @@ from mapfusion.pairwise.confidence import (
     MAX_MARGIN,
     MIN_CONFIDENCE,
     MIN_FIRMNESS,
+    MIN_RECURRING,
     MIN_UNIQUENESS,
     Figures,
     confidence,
@@ -237,7 +238,8 @@ def may_repeat_itself(finding: Finding) -> bool:
 
 def repeats_itself(figures: Figures) -> bool:
     """Whether walls agree because they repeat themselves, as far as they were asked; bent maps disagree anyway."""
-    return "rest_ratio" in figures and not is_loose(figures) and uniqueness(figures) < MIN_UNIQUENESS
+    is_repeating = figures.get("recurring", 0.0) > MIN_RECURRING and not is_loose(figures)
+    return is_repeating and uniqueness(figures) < MIN_UNIQUENESS
 
 
 def has_slid(figures: Figures) -> bool:

@@ -28,7 +28,7 @@ def yes(T: SE2 = HERE, confidence: float = 0.9, deviation_deg: float = 0.1, **ev
         T_target_source=T,
         confidence=confidence,
         covariance=np.diag([1e-4, 1e-4, np.radians(deviation_deg) ** 2]),
-        evidence={"tolerance_cells": 3.0, **evidence},
+        evidence=evidence,
     )
 
 
@@ -112,7 +112,7 @@ def test_a_refusal_ends_as_soon_as_no_vote_can_overturn_it(ask: Ask) -> None:
     assert result.evidence["agreeing"] == 0.0
 
 
-@pytest.mark.parametrize("doubt", [no("ambiguous"), no("repeats", recurring=0.6), yes(ELSEWHERE, recurring=0.6)])
+@pytest.mark.parametrize("doubt", [no("ambiguous"), no("repeats", recurring=0.3), yes(ELSEWHERE, recurring=0.6)])
 def test_where_one_verdict_doubts_three_must_accept_the_same(ask: Ask, doubt: PairFusion) -> None:
     agreed, number = ask([yes(), doubt, yes(), yes()])
     assert agreed.accepted
@@ -126,8 +126,9 @@ def test_where_one_verdict_doubts_three_must_accept_the_same(ask: Ask, doubt: Pa
 
 def test_what_one_verdict_finds_of_repeats_is_told(ask: Ask) -> None:
     repeating = no("repeats", recurring=0.8, rest_ratio=0.1, like_fit=-0.5)
-    result, _ = ask([yes(net=80.0), repeating, yes(recurring=0.2, rest_ratio=0.9), yes()])
+    result, _ = ask([yes(net=80.0, firm_lead=0.3), repeating, yes(recurring=0.2, rest_ratio=0.9), yes()])
     assert result.accepted
+    assert "firm_lead" not in result.evidence
     assert (result.evidence["recurring"], result.evidence["rest_ratio"], result.evidence["like_fit"]) == (
         0.8,
         0.1,

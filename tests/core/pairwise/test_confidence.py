@@ -75,9 +75,13 @@ def test_uniqueness_grows_with_what_tells_a_place_from_its_like(better: dict[str
 
 
 def test_where_nothing_follows_nothing_of_it_fits() -> None:
-    without = {name: value for name, value in ASKED.items() if name not in ("like_fit", "firm_lead")}
-    assert uniqueness(without) == uniqueness(ASKED | {"like_fit": -12.0, "firm_lead": 0.0})
-    assert uniqueness(ASKED | {"like_fit": -30.0}) == uniqueness(ASKED | {"like_fit": -12.0})
+    without = {name: value for name, value in ASKED.items() if name != "like_fit"}
+    assert uniqueness(without) == uniqueness(ASKED | {"like_fit": -12.0}) == uniqueness(ASKED | {"like_fit": -30.0})
+
+
+def test_more_walls_than_tell_anything_make_nothing_more_unique() -> None:
+    assert uniqueness(ASKED | {"lines": 30.0}) < uniqueness(ASKED | {"lines": 40.0})
+    assert uniqueness(ASKED | {"lines": 40.0}) == uniqueness(ASKED | {"lines": 200.0})
 
 
 @pytest.mark.parametrize(

@@ -144,16 +144,46 @@ def test_a_wall_that_agrees_with_one_that_recurs_is_no_such_sign() -> None:
     assert figures["rest_ratio"] < 0.2
 
 
+def test_few_walls_of_their_own_are_not_all_there_is() -> None:
+    both = []
+    for width in (0, 3, 30):
+        place = row_of_rooms(4)
+        place[-20:-8, 100 : 100 + width] = 100  # a thing of its own, in the corridor
+        same = map_of(place)
+        found = found_at(same, same, 0.0)
+        both.append(weighed_against_repeats(found, same, same, match(same.features, same.features)).best.figures)
+    none, few, more = (figures["rest_ratio"] for figures in both)
+    assert none == 0.0
+    assert 0.3 < few < 0.95  # all agree: 6 more are reckoned with
+    assert few < more < 1.0
+
+
+def test_the_map_of_which_more_agrees_says_how_much_does() -> None:
+    place = row_of_rooms(4)
+    place[-24:-12, 100:125] = 100  # a thing that both have
+    other = place.copy()
+    other[-24:-8, 30:90] = 100  # and one that only the second has
+    target, source = map_of(place), map_of(other)
+    for maps in ((target, source), (source, target)):
+        found = found_at(*maps, 0.0)
+        figures = weighed_against_repeats(found, *maps, match(maps[0].features, maps[1].features)).best.figures
+        assert figures["rest_ratio"] > 0.8
+
+
 def test_a_rival_s_parts_are_told_from_the_best_one_s() -> None:
     target, source = map_of(row_of_rooms(6, before=50)), map_of(row_of_rooms(4, before=50))
     matches = match(target.features, source.features)
     best = found_at(target, source, 0.0)
-    assert "firm_lead" not in weighed_against_repeats(best, target, source, matches).best.figures or best.rival is None
     room_off = found_at(target, source, float(PITCH)).best
     weighed = weighed_against_repeats(replace(best, rival=room_off), target, source, matches)
     assert weighed.rival is not None
-    lead = (
-        best.best.figures["firmness"]
-        - search.with_firmness(replace(best, best=weighed.rival), target, source).best.figures["firmness"]
-    )
-    assert weighed.best.figures["firm_lead"] == lead
+    rival_s = search.with_firmness(replace(best, best=weighed.rival), target, source).best.figures["firmness"]
+    assert weighed.best.figures["firm_lead"] == best.best.figures["firmness"] - rival_s
+
+
+def test_where_there_is_neither_rival_nor_like_all_parts_lead() -> None:
+    place = map_of(rooms(seed=3)[:230, :250])
+    best = found_at(place, place, 0.0)
+    weighed = weighed_against_repeats(best, place, place, match(place.features, place.features))
+    assert weighed.best.figures["firm_lead"] == best.best.figures["firmness"] > 0.5
+    assert weighed.best.figures["recurring"] < 0.1

@@ -100,9 +100,15 @@ def test_where_walls_fix_nothing_the_covariance_is_large_and_finite() -> None:
     assert np.allclose(np.diag(exact.covariance), 12.0 * 0.3**2 / 1000.0, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("lines", "cells_as_one"), [(5.0, 80.0), (20.0, 20.0), (100.0, 12.0)])
-def test_cells_of_one_wall_fix_a_pose_together(lines: float, cells_as_one: float) -> None:
+@pytest.mark.parametrize(
+    ("tolerance_cells", "lines", "cells_as_one"),
+    [(3.0, 5.0, 80.0), (6.0, 20.0, 20.0), (6.0, 100.0, 12.0), (1.5, 5.0, 12.0)],
+)
+def test_cells_of_one_wall_that_do_not_agree_closely_fix_a_pose_together(
+    tolerance_cells: float, lines: float, cells_as_one: float
+) -> None:
     figures = GOOD | {"residual_cells": 2.0, "num_walls": 800.0, "ratio": 0.5, "lines": lines}
+    figures["tolerance_cells"] = tolerance_cells
     found = Finding(Candidate(np.zeros(3), figures), 400.0 * np.eye(3))
     assert np.allclose(np.diag(found.covariance), cells_as_one * 2.0**2 / 400.0, rtol=1e-3)
 

@@ -53,7 +53,14 @@ GOOD = {
 AGREEMENT = Agreement(mae=5.0, overlap_cells=10_000, overlap_ratio=0.5, resolution_m=0.1)
 RIVAL_FIGURES = {"ratio": 0.4, "lines": 8.0, "keypoints": 1.0, "inliers_near": 20.0, "inliers_wide": 40.0}
 CROSSING = {"crossing": 0.3, "crossing_cells": 60.0}
-REPEATED = {"recurring": 0.6, "rest_ratio": 0.3, "like_fit": -2.0, "contradiction": 0.1, "crossing": 0.02}
+REPEATED = {
+    "recurring": 0.6,
+    "rest_ratio": 0.3,
+    "like_fit": -2.0,
+    "contradiction": 0.1,
+    "crossing": 0.02,
+    "firm_lead": 0.0,
+}
 RIVAL = SE2(1.0, 2.0, 3.0)
 
 
@@ -253,6 +260,7 @@ def test_walls_that_do_not_recur_must_agree_where_maps_repeat_themselves(place: 
         {"like_fit": -8.0},
         {"contradiction": 0.02, "crossing": 0.0},
         {"tolerance_cells": 6.0},
+        {"recurring": 0.2},
     ):
         assert judged(place, finding(**(REPEATED | enough))).accepted, enough
     assert not repeats_itself(GOOD)
