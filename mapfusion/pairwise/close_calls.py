@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from mapfusion.grid import quarter_turned
-from mapfusion.pairwise.poses import Poses, between_corners, differ
+from mapfusion.pairwise.poses import Poses, between_corners, centre_moved, differ
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.repeats import REPEATS_FIGURES
 from mapfusion.pairwise.search import DISTINCT_DEGREES, distinct_cells
@@ -52,7 +52,7 @@ def asked_again(
     source: PreparedMap,
     fuse: Callable[[PreparedMap, PreparedMap], PairFusion],
 ) -> PairFusion:
-    """The verdict of the vote on two maps: the surest of those that agree, or a refusal that says why.
+    """The verdict of the vote on two maps: one of those that agree, or a refusal that says why.
 
     Its evidence names how many `verdicts` there were and how many were `agreeing`, and what any of them found of
     repeats.
@@ -80,7 +80,10 @@ def _turned(one: PreparedMap, quarters: int) -> PreparedMap:
 
 
 def _vote(verdicts: Sequence[PairFusion], target: PreparedMap, source: PreparedMap) -> tuple[PairFusion, int]:
-    """The surest of the accepting verdicts with which most of them agree, and how many these are; else the first."""
+    """One of the accepting verdicts with which most of them agree, and how many these are; else the first verdict.
+
+    Of two it is the surer one, of more the one in the middle of them.
+    """
     accepting = [one for one in verdicts if one.accepted]
     if not accepting:
         return verdicts[0], 0
@@ -89,8 +92,18 @@ def _vote(verdicts: Sequence[PairFusion], target: PreparedMap, source: PreparedM
     apart = differ(poses, poses, source.centre, distinct_cells(target, source), degrees)
     agreeing = np.count_nonzero(~apart, axis=1)
     most = int(agreeing.max())
-    chosen = [one for one, number in zip(accepting, agreeing, strict=True) if number == most]
-    return max(chosen, key=lambda one: one.confidence), most
+    chosen = np.flatnonzero(agreeing == most)
+    if most > 2:
+        return accepting[chosen[_in_the_middle(poses[chosen], source)]], most
+    return max((accepting[k] for k in chosen), key=lambda one: one.confidence), most
+
+
+def _in_the_middle(poses: Poses, source: PreparedMap) -> int:
+    """Which of the poses (K, 3) moves the source, to its edge, the least from where the others have it."""
+    at, radius = centre_moved(poses, source.centre), math.hypot(*source.grid.cells.shape) / 2.0
+    apart = np.linalg.norm(at[:, None] - at, axis=-1)
+    turned = np.abs(np.angle(np.exp(1j * (poses[:, None, 2] - poses[:, 2]))))
+    return int((apart + radius * turned).sum(axis=1).argmin())
 
 
 def _pose(verdict: PairFusion, target: PreparedMap, source: PreparedMap) -> Poses:

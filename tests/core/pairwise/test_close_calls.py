@@ -152,6 +152,16 @@ def test_the_one_that_most_agree_with_is_taken(ask: Ask) -> None:
     assert number == 3
 
 
+def test_of_three_that_agree_the_one_in_the_middle_is_taken_however_sure(ask: Ask) -> None:
+    moved, turned = SE2(HERE.x_m + 0.3, HERE.y_m, HERE.yaw_rad), SE2(HERE.x_m, HERE.y_m, HERE.yaw_rad + 0.02)
+    result, number = ask([yes(moved, confidence=0.98, recurring=0.6), yes(confidence=0.85), yes(turned), no()])
+    assert number == 3
+    assert (result.T_target_source, result.confidence) == (HERE, 0.85)
+    result, number = ask([yes(moved, confidence=0.97), yes(confidence=0.85), no(), no()])
+    assert number == 2
+    assert result.T_target_source == moved
+
+
 def test_acceptances_of_different_alignments_are_ambiguous(ask: Ask) -> None:
     result, _ = ask([yes(confidence=0.95, recurring=0.6), yes(), yes(ELSEWHERE), yes(ELSEWHERE)])
     assert (result.accepted, result.gate) == (False, "ambiguous")
