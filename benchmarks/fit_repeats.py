@@ -37,7 +37,7 @@ from fit_verdict import (
 from places import PLACES, repeating_views
 
 from mapfusion.config import FusionConfig
-from mapfusion.pairwise.confidence import MIN_RECURRING, MIN_UNIQUENESS, UNIQUENESS, Figures, is_loose, uniqueness_terms
+from mapfusion.pairwise.confidence import MIN_UNIQUENESS, UNIQUENESS, Figures, is_repeating, uniqueness_terms
 from mapfusion.pairwise.default import prepare, single_verdict
 from mapfusion.pairwise.verdict import too_little
 from mapfusion.transform import FloatArray
@@ -65,8 +65,7 @@ def asked(pair: Pair) -> Asked | None:
     target, source = reversed(maps) if is_swapped else maps
     verdict = single_verdict(target, source, FusionConfig(), is_thorough=True)
     T = verdict.T_target_source
-    is_repeating = verdict.evidence.get("recurring", 0.0) > MIN_RECURRING and not is_loose(verdict.evidence)
-    if T is None or not is_repeating or verdict.gate == "ambiguous":
+    if T is None or not is_repeating(verdict.evidence) or verdict.gate == "ambiguous":
         return None
     is_right, is_near = compare(pair, T.inverse() if is_swapped else T)
     return None if is_near else Asked(pair.kind, pair.place, verdict.evidence, is_right)

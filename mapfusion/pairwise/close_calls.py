@@ -24,8 +24,8 @@ from mapfusion.result import PairFusion
 NUM_VERDICTS = 4
 """One for each quarter turn."""
 MIN_AGREEING, MIN_AGREEING_IN_DOUBT = 2, 3
-"""So many must accept the same; the second where one of them found a rival, that most walls recur, or that the rotation
-is left open: a wrong alignment is accepted nearly as steadily as a right one there."""
+"""So many must accept the same; the second where one of them found a rival or repeats, that most walls recur, or that
+the rotation is left open: a wrong alignment is accepted nearly as steadily as a right one there."""
 CLOSE_GATES = ("ambiguous", "chance", "confidence", "parts", "repeats")
 """Gates whose figures change as maps are turned."""
 SURE_ALONE, LEAST_HOPE = 0.99, 0.5
@@ -93,7 +93,7 @@ def _vote(verdicts: Sequence[PairFusion], target: PreparedMap, source: PreparedM
     agreeing = np.count_nonzero(~apart, axis=1)
     most = int(agreeing.max())
     chosen = np.flatnonzero(agreeing == most)
-    if most > 2:
+    if most > MIN_AGREEING:
         return accepting[chosen[_in_the_middle(poses[chosen], source)]], most
     return max((accepting[k] for k in chosen), key=lambda one: one.confidence), most
 

@@ -224,6 +224,11 @@ def rigidity(figures: Figures) -> float:
     return of_behind * _ramp(figures.get("firmness", 0.0), LEAST_RIGID, MOST_RIGID)
 
 
+def is_repeating(figures: Figures) -> bool:
+    """Whether the uniqueness of a pose with these figures counts; bent maps disagree anyway."""
+    return figures.get("recurring", 0.0) > MIN_RECURRING and not is_loose(figures)
+
+
 def uniqueness_terms(figures: Figures) -> dict[str, float]:
     """What the uniqueness is made of, of maps that were asked what of them repeats itself, see `repeats`."""
     return {

@@ -11,12 +11,12 @@ from mapfusion.pairwise.confidence import (
     MAX_MARGIN,
     MIN_CONFIDENCE,
     MIN_FIRMNESS,
-    MIN_RECURRING,
     MIN_UNIQUENESS,
     Figures,
     confidence,
     fits_better,
     is_loose,
+    is_repeating,
     share_behind,
     uniqueness,
 )
@@ -237,9 +237,8 @@ def may_repeat_itself(finding: Finding) -> bool:
 
 
 def repeats_itself(figures: Figures) -> bool:
-    """Whether walls agree because they repeat themselves, as far as they were asked; bent maps disagree anyway."""
-    is_repeating = figures.get("recurring", 0.0) > MIN_RECURRING and not is_loose(figures)
-    return is_repeating and uniqueness(figures) < MIN_UNIQUENESS
+    """Whether walls agree because they repeat themselves, as far as they were asked."""
+    return is_repeating(figures) and uniqueness(figures) < MIN_UNIQUENESS
 
 
 def has_slid(figures: Figures) -> bool:
