@@ -28,6 +28,10 @@ MIN_AGREEING, MIN_AGREEING_IN_DOUBT = 2, 3
 the rotation is left open: a wrong alignment is accepted nearly as steadily as a right one there."""
 CLOSE_GATES = ("ambiguous", "chance", "confidence", "parts", "repeats")
 """Gates whose figures change as maps are turned."""
+OVERRULED_GATES = ("ambiguous", "confidence")
+"""Those that rest on the confidence: only their refusals may be overruled by its mean."""
+LEAST_TRUST = 1e-4
+"""No verdict is less sure, or surer, than by this, so that one alone decides no mean."""
 SURE_ALONE, LEAST_HOPE = 0.99, 0.5
 """Joins with less confidence than the first, and refusals with at least the second, are close calls."""
 MOST_RECURRING = 0.5
@@ -37,6 +41,8 @@ MAX_TURN_DEVIATION_DEG = 1.1
 to five degrees off."""
 SAME_DEGREES = 1.0
 """Where the rotation is left open, alignments further apart are not the same."""
+MIN_MEAN_CONFIDENCE = 0.7
+"""Mean from which on one acceptance is enough where all verdicts find the same: four together say more than each."""
 
 
 def is_close_call(verdict: PairFusion) -> bool:
@@ -65,14 +71,60 @@ def asked_again(
     """
     verdicts = [first]
     chosen, agreeing = _vote(verdicts, target, source)
-    while agreeing < _least_agreeing(verdicts) <= agreeing + NUM_VERDICTS - len(verdicts):
+    while _is_open(verdicts, agreeing, target, source):
         verdicts.append(fuse(*(_turned(one, len(verdicts)) for one in (target, source))))
         chosen, agreeing = _vote(verdicts, target, source)
     if agreeing < _least_agreeing(verdicts):
-        chosen = _refused(verdicts, agreeing, target, source)
+        if agreeing and _mean_may_suffice(verdicts, target, source):
+            chosen = replace(chosen, confidence=_expit(_summed_log_odds(verdicts) / NUM_VERDICTS))
+        else:
+            chosen = _refused(verdicts, agreeing, target, source)
     counts = {"verdicts": float(len(verdicts)), "agreeing": float(agreeing)}
     own = {name: value for name, value in chosen.evidence.items() if name not in REPEATS_FIGURES}
     return replace(chosen, evidence={**own, **_most_repeating(verdicts), **counts})
+
+
+def _is_open(verdicts: Sequence[PairFusion], agreeing: int, target: PreparedMap, source: PreparedMap) -> bool:
+    """Whether the vote is not decided yet, and another verdict may decide it."""
+    num_left, least = NUM_VERDICTS - len(verdicts), _least_agreeing(verdicts)
+    if agreeing >= least or not num_left:
+        return False
+    return agreeing + num_left >= least or _mean_may_suffice(verdicts, target, source)
+
+
+def _mean_may_suffice(verdicts: Sequence[PairFusion], target: PreparedMap, source: PreparedMap) -> bool:
+    """Whether all verdicts find the same, none refuses it for good, and the mean of their log-odds may suffice.
+
+    Those that were not asked yet are taken for sure. Where most walls recur, or a rival fits better, the mean tells
+    nothing: a like part of the place is found again however the maps are turned.
+    """
+    if any(_repeats_itself(one) or _is_outdone(one) or one.gate not in ("", *OVERRULED_GATES) for one in verdicts):
+        return False
+    poses = np.array([_pose(one, target, source) for one in verdicts])
+    degrees = SAME_DEGREES if any(map(_leaves_rotation_open, verdicts)) else DISTINCT_DEGREES
+    if differ(poses, poses, source.centre, distinct_cells(target, source), degrees).any():
+        return False
+    most = _summed_log_odds(verdicts) + (NUM_VERDICTS - len(verdicts)) * _logit(SURE_ALONE)
+    return most >= NUM_VERDICTS * _logit(MIN_MEAN_CONFIDENCE)
+
+
+def _is_outdone(verdict: PairFusion) -> bool:
+    """Whether a verdict found a rival that fits better."""
+    return verdict.gate == "ambiguous" and verdict.evidence.get("margin", 0.0) <= 0.0
+
+
+def _summed_log_odds(verdicts: Sequence[PairFusion]) -> float:
+    """Of the confidence that each had before a gate refused."""
+    return sum(_logit(one.evidence.get("trust", 0.0)) for one in verdicts)
+
+
+def _logit(probability: float) -> float:
+    held = min(max(probability, LEAST_TRUST), 1.0 - LEAST_TRUST)
+    return math.log(held / (1.0 - held))
+
+
+def _expit(log_odds: float) -> float:
+    return 1.0 / (1.0 + math.exp(-log_odds))
 
 
 def _turned(one: PreparedMap, quarters: int) -> PreparedMap:

@@ -16,10 +16,18 @@ BORDER = 32
 BLUR_SIGMA = 1.5
 """Blur of the wall image, cells: binary staircases carry no gradient worth describing."""
 _KERNEL = cv2.getGaussianKernel(9, BLUR_SIGMA, cv2.CV_32F)
-NUM_FEATURES = 500
+NUM_FEATURES, MOST_FEATURES = 500, 4000
+MANY_WALLS, WALLS_PER_FEATURE = 5000, 5
+"""Of maps with at least the first, cells, a thorough search takes a keypoint for each of the second: of the best few of
+a large map hardly any lie in a small part that another map has in common with it."""
 NUM_LEVELS = 2
 SCALE_FACTOR = 1.6
 FAST_THRESHOLD = 5
+
+
+def num_features(num_walls: int) -> int:
+    """As many as a map with so many wall cells calls for."""
+    return min(num_walls // WALLS_PER_FEATURE, MOST_FEATURES) if num_walls >= MANY_WALLS else NUM_FEATURES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,13 +48,13 @@ class Features:
         return len(self.points)
 
 
-def detect(walls: Mask) -> Features:
-    """ORB on the blurred walls alone: where unknown meets free tells of the robot, not of the place."""
+def detect(walls: Mask, count: int = NUM_FEATURES) -> Features:
+    """The best keypoints of the blurred walls: where unknown meets free tells of the robot, not of the place."""
     image = cv2.copyMakeBorder(
         walls.astype(np.uint8) * 255, BORDER, BORDER, BORDER, BORDER, cv2.BORDER_CONSTANT, value=0
     )
     orb = cv2.ORB.create(
-        nfeatures=NUM_FEATURES,
+        nfeatures=count,
         nlevels=NUM_LEVELS,
         scaleFactor=SCALE_FACTOR,
         edgeThreshold=16,

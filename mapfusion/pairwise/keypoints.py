@@ -18,7 +18,7 @@ from mapfusion.pairwise.poses import Poses, inverse
 from mapfusion.pairwise.prepared import PreparedMap
 from mapfusion.pairwise.refine import cells_below
 from mapfusion.pairwise.surface import NOT_KNOWN, Bytes, Floats, Indices, Points
-from mapfusion.pairwise.voting import Matches
+from mapfusion.pairwise.voting import Matches, turns
 
 REPEATED_CELLS = {1.5: 2, 3.0: 4, 6.0: 8}
 """How near a keypoint of the other map must lie, cells, by the tolerance at which walls agree: maps bend."""
@@ -117,6 +117,28 @@ def _squared_offsets(
             dy = s * source[j, 0] + c * source[j, 1] + y - target[i, 1]
             off[k] = dx * dx + dy * dy
     return off
+
+
+def num_explained(target: Features, source: Features, matches: Matches, poses: Poses) -> npt.NDArray[np.int64]:
+    """(K,) how many matches each of the poses (K, 3) explains within WIDE_INLIER_CELLS."""
+    here, there = source.points[matches.source], target.points[matches.target]
+    return _num_explained(there, here, turns(target, source, matches), np.ascontiguousarray(poses), WIDE_INLIER_CELLS)
+
+
+@compiled
+def _num_explained(there: Points, here: Points, turns_rad: Poses, poses: Poses, cells: float) -> npt.NDArray[np.int64]:
+    """The same for matched points (M, 2) of target and source that turn by so much (M,)."""
+    explained, whole = np.zeros(len(poses), np.int64), 2.0 * math.pi
+    for k in range(len(poses)):
+        x, y, theta = poses[k]
+        c, s = math.cos(theta), math.sin(theta)
+        for i in range(len(here)):
+            turn = turns_rad[i] - theta
+            if abs(turn - whole * math.floor(turn / whole + 0.5)) < MAX_TURN_RAD:
+                dx = c * here[i, 0] - s * here[i, 1] + x - there[i, 0]
+                dy = s * here[i, 0] + c * here[i, 1] + y - there[i, 1]
+                explained[k] += dx * dx + dy * dy <= cells * cells
+    return explained
 
 
 def _inliers(target: Features, source: Features, matches: Matches, off: Floats, cells: float) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mapfusion.grid import Mask, OccupancyGrid, crop_to_known, resample
 from mapfusion.pairwise.behind import Hidden, hidden_cells
-from mapfusion.pairwise.features import Features, detect
+from mapfusion.pairwise.features import NUM_FEATURES, Features, detect, num_features
 from mapfusion.pairwise.poses import Poses
 from mapfusion.pairwise.sketch import sketch
 from mapfusion.pairwise.surface import (
@@ -65,6 +65,12 @@ class PreparedMap:
     def features(self) -> Features:
         """ORB keypoints of the walls, found when they are first asked for: verifying a transform needs none."""
         return detect(self.walls)
+
+    @cached_property
+    def more_features(self) -> Features:
+        """As many as its walls call for; `features` where these are."""
+        count = num_features(self.num_walls)
+        return self.features if count == NUM_FEATURES else detect(self.walls, count)
 
     @cached_property
     def coarser(self) -> PreparedMap:

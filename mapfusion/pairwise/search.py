@@ -13,11 +13,20 @@ from mapfusion.pairwise.confidence import RIGID_TOLERANCE_CELLS, confidence_alon
 from mapfusion.pairwise.correlation import STEP_DEGREES, correlate, likely_rotations
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, Evidence, weigh
 from mapfusion.pairwise.firmness import firmness
-from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, squared_offsets
+from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, num_explained, squared_offsets
 from mapfusion.pairwise.poses import Poses, differ, distinct, from_se2, to_se2
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap
 from mapfusion.pairwise.refine import refine
-from mapfusion.pairwise.rough import SAME_CELLS, TIGHT_STEPS, WIDE_STEPS, Hypotheses, best_distinct, best_nearby, scored
+from mapfusion.pairwise.rough import (
+    SAME_CELLS,
+    SAME_DEGREES,
+    TIGHT_STEPS,
+    WIDE_STEPS,
+    Hypotheses,
+    best_distinct,
+    best_nearby,
+    scored,
+)
 from mapfusion.pairwise.scrutiny import scrutinise
 from mapfusion.pairwise.surface import SurfaceField
 from mapfusion.pairwise.voting import Matches, match, turns, vote
@@ -177,8 +186,7 @@ def propose(
     last = QUICK.num_rotations if is_coarsened else effort.num_rotations
     proposed = [np.zeros((0, 3))]
     if before is None or before.num_voted < effort.num_voted:
-        voted = vote(target.features, source.features, matches, source.centre, effort.num_voted)
-        proposed.append(voted[0 if before is None else before.num_voted :])
+        proposed.append(_voted(target, source, matches, effort, 0 if before is None else before.num_voted))
     if first < last:
         turns_rad = turns(target.features, source.features, matches)
         rotations = likely_rotations(target.field.surface, source.field.surface, turns_rad)
@@ -189,6 +197,24 @@ def propose(
     if is_coarsened:
         proposed.append(_found_coarsely(target, source, effort))
     return scored(target, source, np.concatenate(proposed), COARSE_POINTS)
+
+
+def _voted(target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort, first: int) -> Poses:
+    """The poses (K, 3) with the most votes from the `first` one on; where large maps get more keypoints all, refined.
+
+    In large maps a vote is off by more than what the rough score forgives.
+    """
+    if effort.is_exhaustive and have_more_features(target, source):
+        some, others = target.more_features, source.more_features
+        voted = vote(some, others, match(some, others), source.centre, effort.num_voted)
+        return _refined_widely(target, source, best_nearby(target, source, voted, WIDE_STEPS))
+    return vote(target.features, source.features, matches, source.centre, effort.num_voted)[first:]
+
+
+def _refined_widely(target: PreparedMap, source: PreparedMap, poses: Poses) -> Poses:
+    assert target.field is not None
+    assert source.field is not None
+    return refine(target.field, source.field, poses, source.centre, WIDE_REACHES, COARSE_POINTS)[0]
 
 
 def _every_other(rotations: Poses) -> Poses:
@@ -202,6 +228,11 @@ def _can_be_coarsened(target: PreparedMap, source: PreparedMap) -> bool:
         _longest_edge(target, source) >= LARGE_CELLS
         and min(target.coarser.num_walls, source.coarser.num_walls) >= MIN_WALL_CELLS
     )
+
+
+def have_more_features(target: PreparedMap, source: PreparedMap) -> bool:
+    """Whether one of the maps has walls for more keypoints than a quick search looks at."""
+    return target.more_features is not target.features or source.more_features is not source.features
 
 
 def are_vast(target: PreparedMap, source: PreparedMap) -> bool:
@@ -368,15 +399,30 @@ def refine_best(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses
     assert target.field is not None
     assert source.field is not None
     fields, centre = (target.field, source.field), source.centre
-    starts = best_distinct(hypotheses, centre, effort.num_starts)
+    starts = _likely(target, source, hypotheses, effort, effort.num_starts)
     if effort.is_exhaustive:
         starts = best_nearby(target, source, starts, WIDE_STEPS)
-    wide, _ = refine(*fields, starts, centre, WIDE_REACHES, COARSE_POINTS)
-    wide = best_distinct(scored(target, source, wide, FINE_POINTS), centre, effort.num_candidates)
+    refined = scored(target, source, _refined_widely(target, source, starts), FINE_POINTS)
+    wide = _likely(target, source, refined, effort, effort.num_candidates)
     if effort.is_exhaustive:
         wide = np.concatenate([wide, best_nearby(target, source, wide, TIGHT_STEPS)])
     tight, _ = refine(*fields, wide, centre, TIGHT_REACHES, FINE_POINTS)
     return np.concatenate([tight, wide])
+
+
+def _likely(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, effort: Effort, count: int) -> Poses:
+    """The `count` best of the hypotheses, none like another, and of large maps half as many that explain most matches.
+
+    Large maps have long walls that lie well in many places, and little in common: the right pose has less evidence.
+    """
+    best = best_distinct(hypotheses, source.centre, count)
+    if not (effort.is_exhaustive and have_more_features(target, source)):
+        return best
+    some, others = target.more_features, source.more_features
+    explained = num_explained(some, others, match(some, others), hypotheses.poses)
+    also = best_distinct(Hypotheses(hypotheses.poses, explained.astype(np.float64)), source.centre, count // 2)
+    both = np.concatenate([best, also])
+    return both[distinct(both, source.centre, SAME_CELLS, SAME_DEGREES, len(both))]
 
 
 def _slid(target: SurfaceField, source: SurfaceField, pose: Poses, centre: Poses) -> Poses:

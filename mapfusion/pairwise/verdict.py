@@ -89,14 +89,13 @@ def judge(
     figures = finding.best.figures
     trust = confidence(figures, _margin(finding))
     gate, reason = _refusal(config, finding, trust, cells)
-    if gate and gate != "confidence":
-        trust = min(trust, REFUSED_CONFIDENCE)
+    is_capped = gate not in ("", "confidence")
     return PairFusion(
         accepted=not gate,
         reason=reason,
         gate=gate,
         T_target_source=T_target_source,
-        confidence=trust,
+        confidence=min(trust, REFUSED_CONFIDENCE) if is_capped else trust,
         mae=cells.mae,
         overlap_ratio=cells.overlap_ratio,
         overlap_cells=cells.overlap_cells,
@@ -107,7 +106,7 @@ def judge(
         covariance=_covariance(target, source, finding, T_target_source),
         resolution_m=target.grid.resolution_m,
         rival=rival if gate == "ambiguous" else None,
-        evidence={**figures, "margin": _margin(finding), "rival_ratio": _rival_ratio(finding)},
+        evidence={**figures, "margin": _margin(finding), "rival_ratio": _rival_ratio(finding), "trust": trust},
     )
 
 

@@ -112,6 +112,41 @@ def test_a_refusal_ends_as_soon_as_no_vote_can_overturn_it(ask: Ask) -> None:
     assert result.evidence["agreeing"] == 0.0
 
 
+def test_where_all_four_find_the_same_one_acceptance_and_the_mean_confidence_are_enough(ask: Ask) -> None:
+    nearly = no("ambiguous", trust=0.7, margin=1.0)
+    result, number = ask([nearly, yes(trust=0.9), nearly, nearly])
+    assert (result.accepted, number) == (True, 4)
+    log_odds = (3.0 * np.log(0.7 / 0.3) + np.log(0.9 / 0.1)) / 4.0
+    assert result.confidence == pytest.approx(1.0 / (1.0 + np.exp(-log_odds)))
+    assert (result.evidence["verdicts"], result.evidence["agreeing"]) == (4.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "last",
+    [
+        no("ambiguous", trust=0.2, margin=1.0),  # not sure enough in the mean
+        no("ambiguous", trust=0.7, margin=0.0),  # another alignment fits better
+        no("repeats", trust=0.9, margin=4.0),
+        no("mae", trust=0.9, margin=4.0),
+        no(trust=0.7, margin=4.0, recurring=0.6),
+        replace(no(trust=0.7, margin=4.0), T_target_source=ELSEWHERE),
+    ],
+)
+def test_the_mean_overrules_no_graver_doubt(ask: Ask, last: PairFusion) -> None:
+    nearly = no("ambiguous", trust=0.7, margin=1.0)
+    result, _ = ask([yes(trust=0.9), nearly, nearly, last])
+    assert not result.accepted
+    assert result.confidence == 0.5
+
+
+def test_the_mean_needs_an_acceptance_and_ends_where_it_can_no_longer_suffice(ask: Ask) -> None:
+    nearly, hardly = no("ambiguous", trust=0.75, margin=1.0), no("ambiguous", trust=0.001, margin=1.0)
+    result, number = ask([nearly, nearly, nearly, nearly])
+    assert (result.accepted, number) == (False, NUM_VERDICTS)
+    result, number = ask([hardly, hardly, yes(trust=0.9), yes(trust=0.9)])
+    assert (result.accepted, number) == (False, 2)
+
+
 @pytest.mark.parametrize("doubt", [no("ambiguous"), no("repeats", recurring=0.3), yes(ELSEWHERE, recurring=0.6)])
 def test_where_one_verdict_doubts_three_must_accept_the_same(ask: Ask, doubt: PairFusion) -> None:
     agreed, number = ask([yes(), doubt, yes(), yes()])

@@ -135,7 +135,7 @@ def cluttered_building(seed: int) -> tuple[OccupancyGrid, OccupancyGrid, SE2]:
     return seen_from(cluttered, SE2.identity(), (1000, 760), 0.05), seen_from(place, T_a_b, (700, 700), 0.05), T_a_b
 
 
-def test_large_maps_are_searched_at_coarser_resolutions_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_maps_are_searched_at_coarser_resolutions_and_by_more_keypoints(monkeypatch: pytest.MonkeyPatch) -> None:
     a, b, T_a_b = cluttered_building(seed=4)
     maps = prepare(a, 0.05), prepare(b, 0.05)
     result = fuse(*maps, FusionConfig())
@@ -144,7 +144,12 @@ def test_large_maps_are_searched_at_coarser_resolutions_as_well(monkeypatch: pyt
     assert result.T_target_source is not None
     assert np.linalg.norm(result.T_target_source.apply(middle_m) - T_a_b.apply(middle_m)) < 0.025
     assert fuse(*maps, FusionConfig(), is_thorough=False).confidence < OUTLOOK  # vast maps are searched all the same
+    with monkeypatch.context() as alone:
+        alone.setattr(search, "have_more_features", lambda *_: False)
+        assert fuse(*maps, FusionConfig()).accepted
     monkeypatch.setattr(search, "_can_be_coarsened", lambda *_: False)
+    assert fuse(*maps, FusionConfig()).accepted
+    monkeypatch.setattr(search, "have_more_features", lambda *_: False)
     assert not fuse(*maps, FusionConfig()).accepted
 
 

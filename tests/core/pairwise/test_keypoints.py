@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, KeypointAgreement, keypoint_agreement, squared_offsets
+from mapfusion.pairwise.keypoints import (
+    NEAR_INLIER_CELLS,
+    WIDE_INLIER_CELLS,
+    KeypointAgreement,
+    keypoint_agreement,
+    num_explained,
+    squared_offsets,
+)
 from mapfusion.pairwise.poses import from_se2
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.voting import match
@@ -51,6 +58,18 @@ def test_a_pose_explains_matches_in_place_and_in_direction(pair: tuple[PreparedM
     turned = np.array([0.0, 0.0, 0.6])
     assert own.any()
     assert np.isinf(squared_offsets(target.features, target.features, matches, turned)[own]).all()
+
+
+def test_how_many_matches_poses_explain_is_counted_for_all_at_once(pair: tuple[PreparedMap, PreparedMap]) -> None:
+    target, source = (one.features for one in pair)
+    matches = match(target, source)
+    T = pair[0].grid.T_frame_grid.inverse() @ T_A_B @ pair[1].grid.T_frame_grid
+    poses = np.array([from_se2(T, 0.1), [5.0, 0.0, 0.0], [0.0, 9.0, 3.5], [-2.0, 1.0, -3.0]])
+    explained = num_explained(target, source, matches, poses)
+    for pose, number in zip(poses, explained, strict=True):
+        off = squared_offsets(target, source, matches, pose)
+        assert number == np.count_nonzero(off <= WIDE_INLIER_CELLS**2)
+    assert explained[0] > 3 * explained[1:].max()
 
 
 def test_where_nothing_is_in_common_keypoints_say_nothing(pair: tuple[PreparedMap, PreparedMap]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mapfusion.pairwise.features import num_features
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.surface import FIELD_MARGIN
 from tests.fakes import flat, grid_of, rooms
@@ -45,3 +46,14 @@ def test_cells_near_keypoints_are_known_once_asked_for(radius_cells: int) -> Non
     assert near[rows, columns].all()
     assert 0.0 < near.mean() < 0.5
     assert prepared.near_keypoints(radius_cells) is near
+
+
+def test_a_map_with_many_walls_gets_more_keypoints() -> None:
+    assert [num_features(walls) for walls in (0, 4999, 5000, 10000, 10**7)] == [500, 500, 1000, 2000, 4000]
+    cells = flat(500, 500, 0)
+    for row, column, height, width in np.random.default_rng(1).integers(4, (480, 480, 9, 9), (900, 4)):
+        cells[row : row + height, column : column + width] = 100
+    small, large = prepare(grid_of(cells[:120]), 0.1), prepare(grid_of(cells), 0.1)
+    assert small.more_features is small.features
+    assert len(large.features) < 600
+    assert len(large.more_features) > 3000

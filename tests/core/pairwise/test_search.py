@@ -15,6 +15,7 @@ from mapfusion.pairwise.evidence import weigh
 from mapfusion.pairwise.poses import Poses
 from mapfusion.pairwise.prepared import MIN_WALL_CELLS, PreparedMap, prepare
 from mapfusion.pairwise.refine import refine
+from mapfusion.pairwise.rough import Hypotheses
 from mapfusion.pairwise.scrutiny import scrutinise
 from mapfusion.pairwise.search import (
     LARGE_CELLS,
@@ -25,7 +26,9 @@ from mapfusion.pairwise.search import (
     Finding,
     are_alike,
     examine,
+    have_more_features,
     propose,
+    refine_best,
     with_rivals_of,
 )
 from mapfusion.pairwise.surface import SurfaceField
@@ -139,6 +142,32 @@ def test_a_thorough_search_goes_all_the_way_round(place: PreparedMap, monkeypatc
     assert len(set(quick + thorough)) == len(quick) + len(thorough)
     assert set(range(0, 360, 2 * STEP_DEGREES)) <= set(quick + thorough)
     assert len(quick) + len(thorough) < 360 // STEP_DEGREES
+
+
+def test_of_large_maps_a_pose_that_keypoints_speak_for_is_refined_whatever_its_walls_say(
+    place: PreparedMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    far = [[100.0 + 10.0 * i, 200.0 * (-1) ** j, 0.1 * j] for i in range(10) for j in range(8)]
+    hypotheses = Hypotheses(np.array([*far, [1.0, -1.0, 0.01]]), np.array([*range(1, len(far) + 1), 0.0]))
+
+    def is_found() -> bool:
+        poses = refine_best(place, place, hypotheses, THOROUGH)
+        return bool((np.abs(poses) < [0.5, 0.5, 0.01]).all(axis=1).any())
+
+    assert not is_found()
+    monkeypatch.setattr(search, "have_more_features", lambda *_: True)
+    assert is_found()
+
+
+def test_votes_of_more_keypoints_are_refined_before_they_are_ranked(
+    place: PreparedMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matches = match(place.features, place.features)
+    assert not have_more_features(place, place)
+    monkeypatch.setattr(search, "have_more_features", lambda *_: True)
+    monkeypatch.setattr(search, "correlate", lambda *_: np.zeros((0, 3)))
+    hypotheses = propose(place, place, matches, THOROUGH, before=QUICK)
+    assert (np.abs(hypotheses.poses[hypotheses.scores.argmax()]) < [0.1, 0.1, 0.002]).all()
 
 
 def searched(is_related: bool, worth: float, monkeypatch: pytest.MonkeyPatch) -> tuple[Finding, int]:
