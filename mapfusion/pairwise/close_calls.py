@@ -1,7 +1,8 @@
 """Close calls are asked again, of the same maps in turned rows and columns.
 
 A map's cells cut its walls at random, and a search and the limits of a verdict make much of little. Quarter turns
-change no cell, but what is made of them: of several verdicts on one pair those decide that agree.
+change no cell, but what is made of them: of several verdicts on one pair those decide that agree, or, where all find
+the same, how sure they are in the mean.
 Source: Breiman, Bagging predictors, Machine Learning 1996: a vote steadies a decision that jumps.
 """
 
@@ -12,26 +13,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from mapfusion.grid import quarter_turned
+from mapfusion.pairwise.confidence import logistic
 from mapfusion.pairwise.poses import Poses, between_corners, centre_moved, differ
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.pairwise.repeats import REPEATS_FIGURES
+from mapfusion.pairwise.rough import SAME_CELLS
 from mapfusion.pairwise.search import DISTINCT_DEGREES, distinct_cells
-from mapfusion.pairwise.verdict import REFUSED_CONFIDENCE
+from mapfusion.pairwise.verdict import REFUSED_CONFIDENCE, lacks_only_confidence
 from mapfusion.result import PairFusion
 
 NUM_VERDICTS = 4
 """One for each quarter turn."""
 MIN_AGREEING, MIN_AGREEING_IN_DOUBT = 2, 3
-"""So many must accept the same; the second where one of them found a rival or repeats, that most walls recur, or that
-the rotation is left open: a wrong alignment is accepted nearly as steadily as a right one there."""
+"""So many must accept the same, or one where the mean suffices; the second where one of them found a rival or repeats,
+that most walls recur, or that the rotation is left open: a wrong alignment is accepted nearly as steadily as a right
+one there."""
 CLOSE_GATES = ("ambiguous", "chance", "confidence", "parts", "repeats")
 """Gates whose figures change as maps are turned."""
-OVERRULED_GATES = ("ambiguous", "confidence")
-"""Those that rest on the confidence: only their refusals may be overruled by its mean."""
-LEAST_TRUST = 1e-4
-"""No verdict is less sure, or surer, than by this, so that one alone decides no mean."""
 SURE_ALONE, LEAST_HOPE = 0.99, 0.5
 """Joins with less confidence than the first, and refusals with at least the second, are close calls."""
 MOST_RECURRING = 0.5
@@ -40,7 +41,7 @@ MAX_TURN_DEVIATION_DEG = 1.1
 """Standard deviation of the rotation from which on it is left open: small maps of places that changed may be joined two
 to five degrees off."""
 SAME_DEGREES = 1.0
-"""Where the rotation is left open, alignments further apart are not the same."""
+"""Where the rotation is left open, and where the mean decides, alignments further apart are not the same."""
 MIN_MEAN_CONFIDENCE = 0.7
 """Mean from which on one acceptance is enough where all verdicts find the same: four together say more than each."""
 
@@ -58,7 +59,7 @@ def asked_again(
     source: PreparedMap,
     fuse: Callable[[PreparedMap, PreparedMap], PairFusion],
 ) -> PairFusion:
-    """The verdict of the vote on two maps: one of those that agree, or a refusal that says why.
+    """The verdict of the vote on two maps: one of those that accept, or a refusal that says why.
 
     Its evidence names how many `verdicts` there were and how many were `agreeing`, and what any of them found of
     repeats.
@@ -76,7 +77,7 @@ def asked_again(
         chosen, agreeing = _vote(verdicts, target, source)
     if agreeing < _least_agreeing(verdicts):
         if agreeing and _mean_may_suffice(verdicts, target, source):
-            chosen = replace(chosen, confidence=_expit(_summed_log_odds(verdicts) / NUM_VERDICTS))
+            chosen = replace(chosen, confidence=logistic(_summed_log_odds(verdicts) / NUM_VERDICTS))
         else:
             chosen = _refused(verdicts, agreeing, target, source)
     counts = {"verdicts": float(len(verdicts)), "agreeing": float(agreeing)}
@@ -93,38 +94,35 @@ def _is_open(verdicts: Sequence[PairFusion], agreeing: int, target: PreparedMap,
 
 
 def _mean_may_suffice(verdicts: Sequence[PairFusion], target: PreparedMap, source: PreparedMap) -> bool:
-    """Whether all verdicts find the same, none refuses it for good, and the mean of their log-odds may suffice.
+    """Whether all verdicts find the same, none refuses it but for its confidence, and the mean of that may suffice.
 
-    Those that were not asked yet are taken for sure. Where most walls recur, or a rival fits better, the mean tells
-    nothing: a like part of the place is found again however the maps are turned.
+    Verdicts that were not asked yet are taken for as sure as any. Where most walls recur the mean tells nothing: a like
+    part of the place is found again however the maps are turned.
     """
-    if any(_repeats_itself(one) or _is_outdone(one) or one.gate not in ("", *OVERRULED_GATES) for one in verdicts):
+    if any(_repeats_itself(one) or not (one.accepted or lacks_only_confidence(one)) for one in verdicts):
         return False
-    poses = np.array([_pose(one, target, source) for one in verdicts])
-    degrees = SAME_DEGREES if any(map(_leaves_rotation_open, verdicts)) else DISTINCT_DEGREES
-    if differ(poses, poses, source.centre, distinct_cells(target, source), degrees).any():
+    if _apart(verdicts, target, source, SAME_CELLS, SAME_DEGREES).any():
         return False
-    most = _summed_log_odds(verdicts) + (NUM_VERDICTS - len(verdicts)) * _logit(SURE_ALONE)
-    return most >= NUM_VERDICTS * _logit(MIN_MEAN_CONFIDENCE)
-
-
-def _is_outdone(verdict: PairFusion) -> bool:
-    """Whether a verdict found a rival that fits better."""
-    return verdict.gate == "ambiguous" and verdict.evidence.get("margin", 0.0) <= 0.0
+    most = _summed_log_odds(verdicts) + (NUM_VERDICTS - len(verdicts)) * _log_odds(SURE_ALONE)
+    return most >= NUM_VERDICTS * _log_odds(MIN_MEAN_CONFIDENCE)
 
 
 def _summed_log_odds(verdicts: Sequence[PairFusion]) -> float:
-    """Of the confidence that each had before a gate refused."""
-    return sum(_logit(one.evidence.get("trust", 0.0)) for one in verdicts)
+    return sum(_log_odds(one.evidence["ungated_confidence"]) for one in verdicts)
 
 
-def _logit(probability: float) -> float:
-    held = min(max(probability, LEAST_TRUST), 1.0 - LEAST_TRUST)
+def _log_odds(confidence: float) -> float:
+    """Of a confidence, held to where one verdict alone is sure, one way or the other: none decides a mean alone."""
+    held = min(max(confidence, 1.0 - SURE_ALONE), SURE_ALONE)
     return math.log(held / (1.0 - held))
 
 
-def _expit(log_odds: float) -> float:
-    return 1.0 / (1.0 + math.exp(-log_odds))
+def _apart(
+    verdicts: Sequence[PairFusion], target: PreparedMap, source: PreparedMap, cells: float, degrees: float
+) -> npt.NDArray[np.bool_]:
+    """(V, V) which of V verdicts are about different alignments."""
+    poses = np.array([_pose(one, target, source) for one in verdicts])
+    return differ(poses, poses, source.centre, cells, degrees)
 
 
 def _turned(one: PreparedMap, quarters: int) -> PreparedMap:
@@ -139,14 +137,13 @@ def _vote(verdicts: Sequence[PairFusion], target: PreparedMap, source: PreparedM
     accepting = [one for one in verdicts if one.accepted]
     if not accepting:
         return verdicts[0], 0
-    poses = np.array([_pose(one, target, source) for one in accepting])
     degrees = SAME_DEGREES if any(map(_leaves_rotation_open, verdicts)) else DISTINCT_DEGREES
-    apart = differ(poses, poses, source.centre, distinct_cells(target, source), degrees)
-    agreeing = np.count_nonzero(~apart, axis=1)
+    agreeing = np.count_nonzero(~_apart(accepting, target, source, distinct_cells(target, source), degrees), axis=1)
     most = int(agreeing.max())
     chosen = np.flatnonzero(agreeing == most)
     if most > MIN_AGREEING:
-        return accepting[chosen[_in_the_middle(poses[chosen], source)]], most
+        poses = np.array([_pose(accepting[k], target, source) for k in chosen])
+        return accepting[chosen[_in_the_middle(poses, source)]], most
     return max((accepting[k] for k in chosen), key=lambda one: one.confidence), most
 
 
@@ -195,13 +192,13 @@ def _refused(verdicts: Sequence[PairFusion], agreeing: int, target: PreparedMap,
     refusal = next((one for one in others if not one.accepted), None)
     reason = (
         f"accepted as the maps are, but of {len(verdicts)} verdicts on these and on the same maps turned by quarters "
-        f"only {agreeing} accept the same, and {_least_agreeing(verdicts)} must; turned: "
+        f"only {agreeing} accept the same, and {_least_agreeing(verdicts)} must, or one where all find the same and "
+        "are sure enough in the mean; turned: "
     )
     if refusal is not None:
         gate, reason, rival = refusal.gate, reason + refusal.reason, refusal.rival
     else:
-        poses = np.array([_pose(one, target, source) for one in verdicts])
-        (apart,) = differ(poses[:1], poses, source.centre, distinct_cells(target, source), SAME_DEGREES)
+        apart = _apart(verdicts, target, source, distinct_cells(target, source), SAME_DEGREES)[0]
         gate, reason = "ambiguous", reason + "a different alignment is accepted"
         rival = verdicts[int(apart.argmax())].T_target_source
     confidence = min(first.confidence, REFUSED_CONFIDENCE)

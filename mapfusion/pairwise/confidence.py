@@ -245,7 +245,7 @@ def uniqueness_terms(figures: Figures) -> dict[str, float]:
 def uniqueness(figures: Figures) -> float:
     """Probability that a pose with these figures, sure enough otherwise, is right and no like part of the place."""
     terms = uniqueness_terms(figures)
-    return 1.0 / (1.0 + math.exp(-sum(UNIQUENESS[name] * value for name, value in terms.items())))
+    return logistic(sum(UNIQUENESS[name] * value for name, value in terms.items()))
 
 
 def share_behind(figures: Figures) -> float:
@@ -266,7 +266,12 @@ def _ramp(value: float, low: float, high: float) -> float:
 def confidence(figures: Figures, above_rival: float) -> float:
     """Probability that a pose with these figures is right, whose margin over its rival is `above_rival`."""
     terms = confidence_terms(figures, above_rival)
-    return 1.0 / (1.0 + math.exp(-sum(CONFIDENCE[name] * value for name, value in terms.items())))
+    return logistic(sum(CONFIDENCE[name] * value for name, value in terms.items()))
+
+
+def logistic(log_odds: float) -> float:
+    """The probability with these log-odds."""
+    return 1.0 / (1.0 + math.exp(-log_odds))
 
 
 def _log(value: float) -> float:

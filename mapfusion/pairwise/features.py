@@ -18,8 +18,8 @@ BLUR_SIGMA = 1.5
 _KERNEL = cv2.getGaussianKernel(9, BLUR_SIGMA, cv2.CV_32F)
 NUM_FEATURES, MOST_FEATURES = 500, 4000
 MANY_WALLS, WALLS_PER_FEATURE = 5000, 5
-"""Of maps with at least the first, cells, a thorough search takes a keypoint for each of the second: of the best few of
-a large map hardly any lie in a small part that another map has in common with it."""
+"""Of maps with at least the first, cells, a thorough search takes a keypoint for each of the second, up to
+MOST_FEATURES: of the best few of a large map hardly any lie in a small part that another map has in common with it."""
 NUM_LEVELS = 2
 SCALE_FACTOR = 1.6
 FAST_THRESHOLD = 5
@@ -63,6 +63,10 @@ def detect(walls: Mask, count: int = NUM_FEATURES) -> Features:
     keypoints, descriptors = orb.detectAndCompute(cv2.sepFilter2D(image, cv2.CV_8U, _KERNEL, _KERNEL), None)
     if not keypoints:
         return Features(np.zeros((0, 2), np.float32), np.zeros(0, np.float32), np.zeros((0, 32), np.uint8))
+    if len(keypoints) > MOST_FEATURES:  # of things that are all alike it keeps all
+        response = np.array([k.response for k in keypoints])
+        kept = np.sort(np.argsort(-response, kind="stable")[:MOST_FEATURES])
+        keypoints, descriptors = [keypoints[k] for k in kept], descriptors[kept]
     points = np.asarray(cv2.KeyPoint.convert(keypoints), np.float32) - np.float32(BORDER - 0.5)
     angles = np.radians(np.array([k.angle for k in keypoints], np.float32))
     return Features(points, angles, descriptors.astype(np.uint8, copy=False))

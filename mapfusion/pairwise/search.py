@@ -12,6 +12,7 @@ from mapfusion.pairwise.behind import seen_behind
 from mapfusion.pairwise.confidence import RIGID_TOLERANCE_CELLS, confidence_alone, margin, plausibility
 from mapfusion.pairwise.correlation import STEP_DEGREES, correlate, likely_rotations
 from mapfusion.pairwise.evidence import DEPENDENT_CELLS, MIN_EVIDENCE, Evidence, weigh
+from mapfusion.pairwise.features import MANY_WALLS
 from mapfusion.pairwise.firmness import firmness
 from mapfusion.pairwise.keypoints import NEAR_INLIER_CELLS, keypoint_agreement, num_explained, squared_offsets
 from mapfusion.pairwise.poses import Poses, differ, distinct, from_se2, to_se2
@@ -67,10 +68,11 @@ class Effort:
     Attributes:
         num_voted: How many poses are taken from the keypoints' votes.
         num_rotations: How many rotations of the walls as a whole are tried, the likely ones first.
-        num_starts: How many poses are refined roughly.
-        num_candidates: How many of them finely.
+        num_starts: How many poses are refined roughly; of maps with many walls up to half as many more.
+        num_candidates: How many of them finely; as above.
         is_exhaustive: Whether every other one of the other rotations is tried as well, the poses around a pose are
-            tried before it is refined, and large maps are searched at coarser resolutions.
+            tried before it is refined, large maps are searched at coarser resolutions, and maps with many walls by more
+            keypoints.
         num_scrutinised: How many poses are looked at closely.
     """
 
@@ -175,7 +177,7 @@ class Finding:
 def propose(
     target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort = QUICK, before: Effort | None = None
 ) -> Hypotheses:
-    """Hypotheses from features and from the maps as a whole, none that an effort `before` had from them.
+    """Hypotheses from features and from the maps as a whole, none that an effort `before` had from the same of these.
 
     Where a coarser resolution is searched, more rotations than a quick search has are left to it.
     """
@@ -200,15 +202,22 @@ def propose(
 
 
 def _voted(target: PreparedMap, source: PreparedMap, matches: Matches, effort: Effort, first: int) -> Poses:
-    """The poses (K, 3) with the most votes from the `first` one on; where large maps get more keypoints all, refined.
+    """The poses (K, 3) with the most votes from the `first` one on; of maps with many walls all, refined.
 
     In large maps a vote is off by more than what the rough score forgives.
     """
-    if effort.is_exhaustive and have_more_features(target, source):
-        some, others = target.more_features, source.more_features
-        voted = vote(some, others, match(some, others), source.centre, effort.num_voted)
-        return _refined_widely(target, source, best_nearby(target, source, voted, WIDE_STEPS))
-    return vote(target.features, source.features, matches, source.centre, effort.num_voted)[first:]
+    more = _more_matches(target, source, effort)
+    if more is None:
+        return vote(target.features, source.features, matches, source.centre, effort.num_voted)[first:]
+    voted = vote(target.more_features, source.more_features, more, source.centre, effort.num_voted)
+    return _refined_widely(target, source, best_nearby(target, source, voted, WIDE_STEPS))
+
+
+def _more_matches(target: PreparedMap, source: PreparedMap, effort: Effort) -> Matches | None:
+    """Matches of the further keypoints that a thorough search takes of maps with many walls; None for other maps."""
+    if not (effort.is_exhaustive and have_many_walls(target, source)):
+        return None
+    return match(target.more_features, source.more_features)
 
 
 def _refined_widely(target: PreparedMap, source: PreparedMap, poses: Poses) -> Poses:
@@ -230,9 +239,9 @@ def _can_be_coarsened(target: PreparedMap, source: PreparedMap) -> bool:
     )
 
 
-def have_more_features(target: PreparedMap, source: PreparedMap) -> bool:
+def have_many_walls(target: PreparedMap, source: PreparedMap) -> bool:
     """Whether one of the maps has walls for more keypoints than a quick search looks at."""
-    return target.more_features is not target.features or source.more_features is not source.features
+    return max(target.num_walls, source.num_walls) >= MANY_WALLS
 
 
 def are_vast(target: PreparedMap, source: PreparedMap) -> bool:
@@ -399,29 +408,33 @@ def refine_best(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses
     assert target.field is not None
     assert source.field is not None
     fields, centre = (target.field, source.field), source.centre
-    starts = _likely(target, source, hypotheses, effort, effort.num_starts)
+    more = _more_matches(target, source, effort)
+    starts = _likely(target, source, hypotheses, more, effort.num_starts)
     if effort.is_exhaustive:
         starts = best_nearby(target, source, starts, WIDE_STEPS)
     refined = scored(target, source, _refined_widely(target, source, starts), FINE_POINTS)
-    wide = _likely(target, source, refined, effort, effort.num_candidates)
+    wide = _likely(target, source, refined, more, effort.num_candidates)
     if effort.is_exhaustive:
         wide = np.concatenate([wide, best_nearby(target, source, wide, TIGHT_STEPS)])
     tight, _ = refine(*fields, wide, centre, TIGHT_REACHES, FINE_POINTS)
     return np.concatenate([tight, wide])
 
 
-def _likely(target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, effort: Effort, count: int) -> Poses:
-    """The `count` best of the hypotheses, none like another, and of large maps half as many that explain most matches.
+def _likely(
+    target: PreparedMap, source: PreparedMap, hypotheses: Hypotheses, more: Matches | None, count: int
+) -> Poses:
+    """The `count` best of the hypotheses, none like another, and half as many of those that explain most matches.
 
-    Large maps have long walls that lie well in many places, and little in common: the right pose has less evidence.
+    Maps with many walls have long ones that lie well in many places, and little in common: the right pose has less
+    evidence.
     """
     best = best_distinct(hypotheses, source.centre, count)
-    if not (effort.is_exhaustive and have_more_features(target, source)):
+    if more is None:
         return best
-    some, others = target.more_features, source.more_features
-    explained = num_explained(some, others, match(some, others), hypotheses.poses)
-    also = best_distinct(Hypotheses(hypotheses.poses, explained.astype(np.float64)), source.centre, count // 2)
-    both = np.concatenate([best, also])
+    explained = num_explained(target.more_features, source.more_features, more, hypotheses.poses)
+    some = explained > 0
+    by_matches = Hypotheses(hypotheses.poses[some], explained[some].astype(np.float64))
+    both = np.concatenate([best, best_distinct(by_matches, source.centre, count // 2)])
     return both[distinct(both, source.centre, SAME_CELLS, SAME_DEGREES, len(both))]
 
 

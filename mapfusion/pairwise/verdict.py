@@ -106,7 +106,12 @@ def judge(
         covariance=_covariance(target, source, finding, T_target_source),
         resolution_m=target.grid.resolution_m,
         rival=rival if gate == "ambiguous" else None,
-        evidence={**figures, "margin": _margin(finding), "rival_ratio": _rival_ratio(finding), "trust": trust},
+        evidence={
+            **figures,
+            "margin": _margin(finding),
+            "rival_ratio": _rival_ratio(finding),
+            "ungated_confidence": trust,
+        },
     )
 
 
@@ -158,8 +163,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             "what agrees is round: it fixes no rotation "
             f"(hold on the rotation {figures['turning']:.3f}, at least {MIN_TURNING} is needed)"
         )
-    least_margin = SLIDING_MARGIN if figures["conditioning"] < SLIDING_CONDITIONING else MIN_MARGIN
-    is_rivalled = _margin(finding) < least_margin or trust < MIN_CONFIDENCE <= confidence(figures, MAX_MARGIN)
+    is_rivalled = _margin(finding) < least_margin(figures) or trust < MIN_CONFIDENCE <= confidence(figures, MAX_MARGIN)
     if finding.rival is not None and is_rivalled:
         how_well = "explains the maps almost as well"
         if fits_better(finding.rival.figures, figures):
@@ -203,6 +207,18 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
             f"{figures['mutual_ratio']:.0%} of the smaller map in common, {rivals}"
         )
     return "", ""
+
+
+def least_margin(figures: Figures) -> float:
+    """The margin over the nearest different alignment that a pose with these figures needs."""
+    return SLIDING_MARGIN if figures["conditioning"] < SLIDING_CONDITIONING else MIN_MARGIN
+
+
+def lacks_only_confidence(verdict: PairFusion) -> bool:
+    """Whether a refusal was made for too little confidence alone, be it that a rival comes near, but not too near."""
+    figures = verdict.evidence
+    is_unsure = verdict.gate == "ambiguous" and figures["margin"] >= least_margin(figures)
+    return (is_unsure or verdict.gate == "confidence") and not (has_slid(figures) or is_adrift(figures))
 
 
 def least_evidence(figures: Figures, is_searched: bool) -> float:

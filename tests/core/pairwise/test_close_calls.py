@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
 
 from mapfusion.config import FusionConfig
-from mapfusion.joins import held_back
+from mapfusion.joins import OVERWHELMING, held_back
 from mapfusion.pairwise import close_calls
 from mapfusion.pairwise.close_calls import MIN_AGREEING, NUM_VERDICTS, asked_again, is_close_call
 from mapfusion.pairwise.default import fuse
 from mapfusion.pairwise.prepared import PreparedMap, prepare
 from mapfusion.result import PairFusion
 from mapfusion.transform import SE2
+from tests.core.pairwise.test_verdict import GOOD
 from tests.fakes import grid_of, rooms
 
 RESOLUTION_M = 0.1
@@ -28,7 +30,7 @@ def yes(T: SE2 = HERE, confidence: float = 0.9, deviation_deg: float = 0.1, **ev
         T_target_source=T,
         confidence=confidence,
         covariance=np.diag([1e-4, 1e-4, np.radians(deviation_deg) ** 2]),
-        evidence=evidence,
+        evidence={**GOOD, "margin": 4.0, "ungated_confidence": 0.1, **evidence},
     )
 
 
@@ -112,38 +114,68 @@ def test_a_refusal_ends_as_soon_as_no_vote_can_overturn_it(ask: Ask) -> None:
     assert result.evidence["agreeing"] == 0.0
 
 
+def nearly(confidence: float, T: SE2 = HERE, gate: str = "ambiguous", **evidence: float) -> PairFusion:
+    """A refusal for too little confidence."""
+    refusal = no(gate)
+    own = {"margin": 1.0, "ungated_confidence": confidence}
+    return replace(refusal, T_target_source=T, evidence={**refusal.evidence, **own, **evidence})
+
+
+def surely(confidence: float) -> PairFusion:
+    return yes(ungated_confidence=confidence)
+
+
 def test_where_all_four_find_the_same_one_acceptance_and_the_mean_confidence_are_enough(ask: Ask) -> None:
-    nearly = no("ambiguous", trust=0.7, margin=1.0)
-    result, number = ask([nearly, yes(trust=0.9), nearly, nearly])
+    result, number = ask([nearly(0.7), surely(0.9), nearly(0.7), nearly(0.7)])
     assert (result.accepted, number) == (True, 4)
     log_odds = (3.0 * np.log(0.7 / 0.3) + np.log(0.9 / 0.1)) / 4.0
     assert result.confidence == pytest.approx(1.0 / (1.0 + np.exp(-log_odds)))
     assert (result.evidence["verdicts"], result.evidence["agreeing"]) == (4.0, 1.0)
 
 
+@pytest.mark.parametrize(("last", "is_accepted"), [(0.65, False), (0.69, True)])
+def test_a_mean_of_seven_tenths_is_enough(ask: Ask, last: float, is_accepted: bool) -> None:
+    assert ask([surely(0.8), nearly(0.65), nearly(0.65), nearly(last)])[0].accepted == is_accepted
+
+
 @pytest.mark.parametrize(
     "last",
     [
-        no("ambiguous", trust=0.2, margin=1.0),  # not sure enough in the mean
-        no("ambiguous", trust=0.7, margin=0.0),  # another alignment fits better
-        no("repeats", trust=0.9, margin=4.0),
-        no("mae", trust=0.9, margin=4.0),
-        no(trust=0.7, margin=4.0, recurring=0.6),
-        replace(no(trust=0.7, margin=4.0), T_target_source=ELSEWHERE),
+        nearly(0.2),  # not sure enough in the mean
+        nearly(0.9, margin=0.4),  # the two are the same to us
+        nearly(0.9, margin=1.5, conditioning=0.1),  # the same of walls that may let a pose slide
+        nearly(0.9, conditioning=0.2, firmness=0.05),  # it may have slid
+        nearly(0.9, firmness=0.2, behind=0.04),  # parts would lie as well elsewhere
+        nearly(0.9, gate="repeats"),
+        nearly(0.9, gate="chance"),
+        nearly(0.7, recurring=0.6),
+        nearly(0.7, SE2(HERE.x_m + 0.8, HERE.y_m, HERE.yaw_rad)),
+        nearly(0.7, SE2(HERE.x_m, HERE.y_m, HERE.yaw_rad + np.radians(1.5))),
     ],
 )
 def test_the_mean_overrules_no_graver_doubt(ask: Ask, last: PairFusion) -> None:
-    nearly = no("ambiguous", trust=0.7, margin=1.0)
-    result, _ = ask([yes(trust=0.9), nearly, nearly, last])
+    result, _ = ask([surely(0.95), nearly(0.7), nearly(0.7), last])
     assert not result.accepted
     assert result.confidence == 0.5
 
 
-def test_the_mean_needs_an_acceptance_and_ends_where_it_can_no_longer_suffice(ask: Ask) -> None:
-    nearly, hardly = no("ambiguous", trust=0.75, margin=1.0), no("ambiguous", trust=0.001, margin=1.0)
-    result, number = ask([nearly, nearly, nearly, nearly])
+def test_the_mean_needs_an_acceptance(ask: Ask) -> None:
+    result, number = ask([nearly(0.75), nearly(0.75), nearly(0.75), nearly(0.75)])
     assert (result.accepted, number) == (False, NUM_VERDICTS)
-    result, number = ask([hardly, hardly, yes(trust=0.9), yes(trust=0.9)])
+    assert (result.confidence, result.reason) == (0.7, "not sure enough")
+
+
+def test_no_verdict_decides_the_mean_alone_whenever_it_is_asked(ask: Ask) -> None:
+    for others in permutations((nearly(0.05), nearly(0.05), surely(0.9999999))):
+        assert not ask([nearly(0.6), *others])[0].accepted
+    for others in permutations((nearly(0.3), surely(0.97), surely(0.98))):
+        result, _ = ask([nearly(0.6), *others])
+        assert result.accepted
+        assert result.confidence < OVERWHELMING
+
+
+def test_the_asking_ends_where_the_mean_can_no_longer_suffice(ask: Ask) -> None:
+    result, number = ask([nearly(0.001), nearly(0.001), surely(0.9), surely(0.9)])
     assert (result.accepted, number) == (False, 2)
 
 

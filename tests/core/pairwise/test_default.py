@@ -145,11 +145,11 @@ def test_large_maps_are_searched_at_coarser_resolutions_and_by_more_keypoints(mo
     assert np.linalg.norm(result.T_target_source.apply(middle_m) - T_a_b.apply(middle_m)) < 0.025
     assert fuse(*maps, FusionConfig(), is_thorough=False).confidence < OUTLOOK  # vast maps are searched all the same
     with monkeypatch.context() as alone:
-        alone.setattr(search, "have_more_features", lambda *_: False)
+        alone.setattr(search, "have_many_walls", lambda *_: False)
         assert fuse(*maps, FusionConfig()).accepted
     monkeypatch.setattr(search, "_can_be_coarsened", lambda *_: False)
     assert fuse(*maps, FusionConfig()).accepted
-    monkeypatch.setattr(search, "have_more_features", lambda *_: False)
+    monkeypatch.setattr(search, "have_many_walls", lambda *_: False)
     assert not fuse(*maps, FusionConfig()).accepted
 
 

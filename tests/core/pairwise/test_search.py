@@ -23,10 +23,11 @@ from mapfusion.pairwise.search import (
     QUICK,
     THOROUGH,
     Candidate,
+    Effort,
     Finding,
     are_alike,
     examine,
-    have_more_features,
+    have_many_walls,
     propose,
     refine_best,
     with_rivals_of,
@@ -150,21 +151,22 @@ def test_of_large_maps_a_pose_that_keypoints_speak_for_is_refined_whatever_its_w
     far = [[100.0 + 10.0 * i, 200.0 * (-1) ** j, 0.1 * j] for i in range(10) for j in range(8)]
     hypotheses = Hypotheses(np.array([*far, [1.0, -1.0, 0.01]]), np.array([*range(1, len(far) + 1), 0.0]))
 
-    def is_found() -> bool:
-        poses = refine_best(place, place, hypotheses, THOROUGH)
+    def is_found(effort: Effort = THOROUGH) -> bool:
+        poses = refine_best(place, place, hypotheses, effort)
         return bool((np.abs(poses) < [0.5, 0.5, 0.01]).all(axis=1).any())
 
     assert not is_found()
-    monkeypatch.setattr(search, "have_more_features", lambda *_: True)
+    monkeypatch.setattr(search, "have_many_walls", lambda *_: True)
     assert is_found()
+    assert not is_found(QUICK)
 
 
 def test_votes_of_more_keypoints_are_refined_before_they_are_ranked(
     place: PreparedMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     matches = match(place.features, place.features)
-    assert not have_more_features(place, place)
-    monkeypatch.setattr(search, "have_more_features", lambda *_: True)
+    assert not have_many_walls(place, place)
+    monkeypatch.setattr(search, "have_many_walls", lambda *_: True)
     monkeypatch.setattr(search, "correlate", lambda *_: np.zeros((0, 3)))
     hypotheses = propose(place, place, matches, THOROUGH, before=QUICK)
     assert (np.abs(hypotheses.poses[hypotheses.scores.argmax()]) < [0.1, 0.1, 0.002]).all()

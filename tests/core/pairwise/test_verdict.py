@@ -16,6 +16,7 @@ from mapfusion.pairwise.search import Candidate, Finding
 from mapfusion.pairwise.verdict import (
     MORE_EVIDENCE,
     judge,
+    lacks_only_confidence,
     least_evidence,
     may_repeat_itself,
     may_turn_on_parts,
@@ -229,6 +230,16 @@ def test_covariance_is_the_translation_s_at_the_frame_s_origin(place: PreparedMa
     # 100 m from the origin, an error of the yaw moves the origin's image by its lever.
     assert far.covariance[1, 1] > near.covariance[1, 1]
     assert far.covariance[2, 2] == pytest.approx(near.covariance[2, 2])
+
+
+def test_what_a_refusal_leaves_of_the_confidence_and_what_it_was_before(place: PreparedMap) -> None:
+    accepted = judged(place, finding())
+    assert accepted.evidence["ungated_confidence"] == accepted.confidence
+    close = {"net": 200.0, "lines": 20.0, "keypoints": 2.7, "inliers_near": 45.0, "inliers_wide": 80.0}
+    refused = judged(place, replace(finding(conditioning=0.1), rival=Candidate(np.zeros(3), GOOD | close)))
+    assert (refused.gate, refused.confidence) == ("ambiguous", 0.5)
+    assert refused.evidence["ungated_confidence"] > 0.9
+    assert not lacks_only_confidence(refused)
 
 
 def test_a_rival_that_explains_as_much_makes_a_pair_ambiguous(place: PreparedMap) -> None:
