@@ -55,6 +55,9 @@ than the second behind the other's walls: half turns of a loop of corridors. Eac
 WEAK_CONDITIONING = 0.3
 """Where walls hold one direction by less than this share of the other, and less than MIN_FIRMNESS of them belongs to
 parts that stay, the pose may have slid: maps of corridors were joined half a metre off."""
+LEAST_STAYING = 0.02
+"""Where parts with less than this of the walls stay, rows of things that are all alike lie as well one row further: of
+some 3 900 right joins every one has more."""
 SLIGHT_CONTRADICTION, STRONG_RIVAL = 0.02, 0.5
 """Maps that contradict each other by more than this share of chance, or have a rival with more than this share of the
 evidence, are asked whether they repeat themselves."""
@@ -183,8 +186,7 @@ def _refusal(config: FusionConfig, finding: Finding, trust: float, cells: Agreem
         )
     if has_slid(figures) or is_adrift(figures):
         why = (
-            f"{MIN_FIRMNESS:.0%} where walls hold one direction by less than {WEAK_CONDITIONING:.0%} of the other; is "
-            f"{figures['conditioning']:.0%}"
+            f"{least_staying(figures):.0%} where walls hold one direction by {figures['conditioning']:.0%} of the other"
             if has_slid(figures)
             else f"{LEAST_FIRMNESS:.0%} where more than {MOST_SEEN_BEHIND:.0%} of what walls hide is free in the other "
             f"map; is {share_behind(figures):.1%}"
@@ -256,9 +258,14 @@ def repeats_itself(figures: Figures) -> bool:
     return is_repeating(figures) and uniqueness(figures) < MIN_UNIQUENESS
 
 
+def least_staying(figures: Figures) -> float:
+    """The firmness below which nothing holds a pose with these figures, or nothing in one direction."""
+    return MIN_FIRMNESS if figures["conditioning"] < WEAK_CONDITIONING else LEAST_STAYING
+
+
 def has_slid(figures: Figures) -> bool:
-    """Whether nothing holds the pose in one direction, as far as parts were looked at."""
-    return figures["conditioning"] < WEAK_CONDITIONING and figures.get("firmness", MIN_FIRMNESS) < MIN_FIRMNESS
+    """Whether nothing holds the pose, or nothing in one direction, as far as parts were looked at."""
+    return figures.get("firmness", MIN_FIRMNESS) < least_staying(figures)
 
 
 def is_adrift(figures: Figures) -> bool:

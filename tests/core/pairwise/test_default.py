@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -242,6 +243,17 @@ def test_symmetric_place_is_ambiguous_and_names_the_rival() -> None:
     assert result.rival is not None
     assert result.T_target_source is not None
     assert result.rival.distance_to(result.T_target_source)[1] == pytest.approx(math.pi, abs=0.01)
+
+
+@pytest.mark.parametrize("edge", [600, 3000])
+def test_rows_of_pillars_lie_as_well_one_row_further(edge: int) -> None:
+    cells = np.zeros((edge, edge), np.int8)
+    for row, column in product(range(3), repeat=2):
+        cells[row::20, column::20] = 100
+    part = cells[edge // 6 :, : edge - edge // 8]
+    result = fuse(prepare(grid_of(cells), 0.1), prepare(grid_of(part), 0.1), FusionConfig())
+    assert not result.accepted
+    assert result.gate in ("ambiguous", "parts")
 
 
 def test_two_copies_of_one_map_join_at_identity(views: tuple[OccupancyGrid, OccupancyGrid]) -> None:
