@@ -57,7 +57,7 @@ WEAK_CONDITIONING = 0.3
 parts that stay, the pose may have slid: maps of corridors were joined half a metre off."""
 LEAST_STAYING = 0.02
 """Where parts with less than this of the walls stay, rows of things that are all alike lie as well one row further: of
-some 3 900 right joins every one has more."""
+some 4 000 right joins every one has more."""
 SLIGHT_CONTRADICTION, STRONG_RIVAL = 0.02, 0.5
 """Maps that contradict each other by more than this share of chance, or have a rival with more than this share of the
 evidence, are asked whether they repeat themselves."""
