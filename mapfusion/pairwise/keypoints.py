@@ -127,39 +127,24 @@ def _turn_alike(of_target: float, of_source: float, theta: float) -> bool:
 
 def num_explained(target: Features, source: Features, matches: Matches, poses: Poses) -> npt.NDArray[np.int64]:
     """(K,) how many matches each of the poses (K, 3) explains within WIDE_INLIER_CELLS."""
-    return _num_explained(
-        target.points,
-        target.angles_rad,
-        source.points,
-        source.angles_rad,
-        matches.target,
-        matches.source,
-        np.ascontiguousarray(poses),
-        WIDE_INLIER_CELLS**2,
-    )
+    there, here = matches.target, matches.source
+    matched = target.points[there], target.angles_rad[there], source.points[here], source.angles_rad[here]
+    return _num_explained(*matched, np.ascontiguousarray(poses), WIDE_INLIER_CELLS**2)
 
 
 @compiled
 def _num_explained(
-    target: Points,
-    target_angles: Floats,
-    source: Points,
-    source_angles: Floats,
-    of_target: npt.NDArray[np.intp],
-    of_source: npt.NDArray[np.intp],
-    poses: Poses,
-    squared_cells: float,
+    there: Points, facing_there: Floats, here: Points, facing_here: Floats, poses: Poses, squared_cells: float
 ) -> npt.NDArray[np.int64]:
-    """Where they lie is looked at first: it takes less time than how they turn, and few lie near."""
+    """The same for M matches. Where they lie is looked at first: that takes less time, and few lie near."""
     explained = np.zeros(len(poses), np.int64)
     for p in range(len(poses)):
         x, y, theta = poses[p]
         c, s = math.cos(theta), math.sin(theta)
-        for k in range(len(of_target)):
-            i, j = of_target[k], of_source[k]
-            dx = c * source[j, 0] - s * source[j, 1] + x - target[i, 0]
-            dy = s * source[j, 0] + c * source[j, 1] + y - target[i, 1]
-            if dx * dx + dy * dy <= squared_cells and _turn_alike(target_angles[i], source_angles[j], theta):
+        for k in range(len(here)):
+            dx = c * here[k, 0] - s * here[k, 1] + x - there[k, 0]
+            dy = s * here[k, 0] + c * here[k, 1] + y - there[k, 1]
+            if dx * dx + dy * dy <= squared_cells and _turn_alike(facing_there[k], facing_here[k], theta):
                 explained[p] += 1
     return explained
 
