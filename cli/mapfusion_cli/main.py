@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Annotated, NoReturn
 
 import typer
+from typer.main import get_command
 
 from mapfusion.errors import ConfigError, MapfusionError
 from mapfusion.version import __version__
@@ -53,6 +55,12 @@ def _options(
     pass
 
 
+@cache
+def _command() -> Callable[..., int | None]:
+    """The command put together, which takes longer than reading a small recording: once a process."""
+    return get_command(app)
+
+
 def run(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the command; always ends in SystemExit.
 
@@ -61,7 +69,8 @@ def run(arguments: Sequence[str] | None = None) -> None:
     """
     try:
         with unwinding():
-            code = app(
+            command = _command()
+            code = command(
                 args=None if arguments is None else list(arguments), prog_name="mapfusion", standalone_mode=False
             )
     except _USAGE_ERRORS as error:

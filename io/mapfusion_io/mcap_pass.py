@@ -32,6 +32,7 @@ from mapfusion_io.read_errors import read_error
 from mapfusion_io.read_limits import ReadLimits
 
 _CHANNEL, _MESSAGE, _SCHEMA = int(Opcode.CHANNEL), int(Opcode.MESSAGE), int(Opcode.SCHEMA)
+_CHUNK, _DATA_END, _INDEX = int(Opcode.CHUNK), int(Opcode.DATA_END), int(Opcode.MESSAGE_INDEX)
 
 
 class McapPass:
@@ -58,11 +59,11 @@ class McapPass:
         self._channels.set_summary(self._summary)
         self.verified = self._summary.is_whole
         for record in self._records(file, size):
-            if record.opcode == Opcode.CHUNK:
+            if record.opcode == _CHUNK:
                 yield from self._chunk(file, record)
-            elif record.opcode == Opcode.MESSAGE:
+            elif record.opcode == _MESSAGE:
                 yield from self._message(record)
-            elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            elif record.opcode in (_SCHEMA, _CHANNEL):
                 self._define_or_lose(record.opcode, record.body, f"byte {record.offset}")
         self._finish(file)
 
@@ -83,9 +84,9 @@ class McapPass:
                 for record in records_from(file, offset, size, self._limits, MESSAGE_RECORDS):
                     self.num_records += 1
                     offset = record.end
-                    if record.opcode == Opcode.DATA_END and record.length == 4:
+                    if record.opcode == _DATA_END and record.length == 4:
                         data_ended = True
-                    elif record.opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX):
+                    elif record.opcode in (_CHUNK, _MESSAGE, _INDEX):
                         data_ended = False
                     elif data_ended:
                         continue  # a part of the summary

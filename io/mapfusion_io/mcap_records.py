@@ -34,7 +34,7 @@ PARSE_ERRORS = (McapError, struct.error, ValueError, KeyError, TypeError, Overfl
 MESSAGE_RECORDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.MESSAGE})
 """Opcodes of what reading messages needs."""
 
-_MESSAGE = int(Opcode.MESSAGE)
+_CHUNK, _FOOTER, _MESSAGE = int(Opcode.CHUNK), int(Opcode.FOOTER), int(Opcode.MESSAGE)
 _T = TypeVar("_T")
 
 
@@ -99,32 +99,35 @@ def records_from(
         DamagedError: From here on no record can be found; `truncated` where the file merely ends.
     """
     num_idle = 0
+    head_size, unpack = HEAD.size, HEAD.unpack  # a flood of empty records is bounded by their number: each is cheap
+    offset = min(offset, size)
     while True:
-        file.seek(min(offset, size))
-        head = file.read(HEAD.size)
-        if len(head) < HEAD.size:
+        file.seek(offset)
+        head = file.read(head_size)
+        if len(head) < head_size:
             raise DamagedError("truncated", "the file ends without its footer")
-        opcode, length = HEAD.unpack(head)
+        opcode, length = unpack(head)
         if opcode == 0:
             raise DamagedError("damaged record", "no record has opcode 0")
-        if length > size - offset - HEAD.size:
+        end = offset + head_size + length
+        if end > size:
             raise DamagedError("truncated", f"a record of {length} bytes reaches beyond the end of the file")
         is_read = opcode in wanted and length <= limits.record_bytes
         body = file.read(length) if is_read else b""
         if is_read and len(body) != length:
             raise DamagedError("truncated", "the file ends within a record")
         record = Record(offset, opcode, length, body)
-        if opcode == Opcode.FOOTER:
-            file.seek(record.end)
+        if opcode == _FOOTER:
+            file.seek(end)
             if length == 20 and file.read(len(MAGIC)) == MAGIC:
                 yield record
                 return
             raise DamagedError("damaged record", "a footer that is not at the end of the file")
-        num_idle = 0 if opcode in (Opcode.CHUNK, Opcode.MESSAGE) else num_idle + 1
+        num_idle = 0 if opcode in (_CHUNK, _MESSAGE) else num_idle + 1
         if num_idle > limits.idle_records:
             raise DamagedError("over limit", f"more than {limits.idle_records} records in a row hold no message")
         yield record
-        offset = record.end
+        offset = end
 
 
 def framed(data: bytes, max_idle: int) -> Iterator[tuple[int, int, int]]:

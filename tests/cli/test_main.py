@@ -68,7 +68,7 @@ def test_ctrl_c_before_anything_runs_is_said_by_the_exit_code(
     def interrupted(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(main, "app", interrupted)
+    monkeypatch.setattr(main, "_command", interrupted)
     assert mapfusion("info", "a.mcap") == (130, "", "")
 
 

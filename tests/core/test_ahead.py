@@ -25,7 +25,7 @@ def test_no_more_is_made_ahead_than_was_asked_for() -> None:
 
     with ahead(numbers(), 3) as items:
         assert next(items) == 0
-        assert enough.wait(5.0)  # one taken, three waiting, one that finds no place
+        assert enough.wait(60.0)  # one taken, three waiting, one that finds no place
         assert made == [0, 1, 2, 3, 4]
 
 
@@ -65,5 +65,5 @@ def test_a_thread_that_is_at_a_long_item_is_not_waited_for() -> None:
     with ahead(slow(), 1) as items:
         next(items)
         left_s = time.perf_counter()
-    assert time.perf_counter() - left_s < PATIENCE_S + 1.0
+    assert time.perf_counter() - left_s < PATIENCE_S + 30.0
     may_end.set()

@@ -89,7 +89,7 @@ def test_maps_without_a_known_cell_make_one_unknown_cell() -> None:
     np.testing.assert_array_equal(merged.cells, [[-1]])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.2, 3.2))
 def test_the_lattice_never_moves_and_no_known_area_is_lost(x_m: float, y_m: float, yaw_rad: float) -> None:
     merged = merge_grids([grid_of(flat(30, 20, 0))], [SE2(x_m, y_m, yaw_rad)], "log-odds", None, 0)

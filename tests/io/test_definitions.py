@@ -1,10 +1,9 @@
 from __future__ import annotations
 
-import time
-
 import pytest
 
 from mapfusion_io.definitions import DefinitionError, default_store, store_from
+from tests.ending import ends
 from tests.io.making import HUMBLE
 
 SEPARATOR = "=" * 80 + "\n"
@@ -47,10 +46,8 @@ def test_every_type_of_a_release_is_taken() -> None:
     ],
 )
 def test_definitions_that_ask_for_trouble(text: str, words: str) -> None:
-    start = time.perf_counter()
-    with pytest.raises(DefinitionError, match=words):
+    with ends(), pytest.raises(DefinitionError, match=words):
         store_from("demo/msg/Thing", "ros1msg", text.encode("latin-1"))
-    assert time.perf_counter() - start < 1.0
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import random
 import struct
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from mapfusion_io.interfaces import Channel
 from mapfusion_io.mcap_reader import McapRecording
 from mapfusion_io.mcap_records import MAGIC
 from mapfusion_io.read_limits import ReadLimits
+from tests.ending import ends
 from tests.io.making import SHARED, STAMP_NS, delivered, mcap_bytes, mission_messages, ros1_grid, small_cells
 
 MESSAGES = mission_messages(40)
@@ -285,11 +285,10 @@ def lying_lz4() -> bytes:
         (record(4, struct.pack("<HHI", 1, 0, 2**31)), "damaged definition"),
     ],
 )
-def test_bombs_and_nonsense_are_refused_fast_and_the_rest_is_read(tmp_path: Path, bad: bytes, kind: str) -> None:
+def test_bombs_and_nonsense_are_refused_and_the_rest_is_read(tmp_path: Path, bad: bytes, kind: str) -> None:
     recording = recording_of(tmp_path, HEADER + CHANNEL + message(b"a") + bad + message(b"b") + END)
-    start = time.perf_counter()
-    assert [data for *_, data in delivered(recording)] == [b"a", b"b"]
-    assert time.perf_counter() - start < 1.0
+    with ends():
+        assert [data for *_, data in delivered(recording)] == [b"a", b"b"]
     assert [loss.kind for loss in recording.losses] == [kind]
 
 
@@ -303,9 +302,8 @@ def test_bombs_and_nonsense_are_refused_fast_and_the_rest_is_read(tmp_path: Path
 )
 def test_floods_end_the_reading(tmp_path: Path, tail: bytes, kind: str) -> None:
     recording = recording_of(tmp_path, HEADER + CHANNEL + message(b"a") + tail)
-    start = time.perf_counter()
-    assert len(delivered(recording)) == 1
-    assert time.perf_counter() - start < 2.0
+    with ends():
+        assert len(delivered(recording)) == 1
     assert [loss.kind for loss in recording.losses] == [kind]
 
 
@@ -425,10 +423,9 @@ def test_an_index_of_chunks_that_are_not_there(tmp_path: Path) -> None:
         data = HEADER + CHANNEL + message(b"x") + bytes(count + 200)
         return data + indexes + record(2, struct.pack("<QQI", len(data), 0, 0)) + MAGIC
 
-    started_s = time.process_time()
     for content in (indexed(30_000, 50), indexed(3, 2**64 - 200)):
         recording = recording_of(tmp_path, content)
-        assert len(delivered(recording)) == 1
+        with ends():
+            assert len(delivered(recording)) == 1
         assert {loss.kind for loss in recording.losses} <= {"damaged record", "missing chunk", "further losses"}
         assert recording.losses
-    assert time.process_time() - started_s < 3.0

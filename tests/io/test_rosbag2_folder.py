@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import sqlite3
-import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from mapfusion.errors import LogReadError
 from mapfusion_io.decode import Decoder
 from mapfusion_io.sniff import open_one
+from tests.ending import ends
 from tests.io.making import HUMBLE, delivered, mission_messages, write_rosbag2
 
 GRID = "nav_msgs/msg/OccupancyGrid"
@@ -99,7 +99,6 @@ def test_metadata_cannot_take_the_time(hostile: str, tmp_path: Path) -> None:
     write_rosbag2(tmp_path / "run", MESSAGES, StoragePlugin.MCAP)
     path = tmp_path / "run" / "metadata.yaml"
     path.write_text(path.read_text() + hostile)
-    started_s = time.process_time()
-    recording = open_one(tmp_path / "run")
-    assert time.process_time() - started_s < 2.0
+    with ends():
+        recording = open_one(tmp_path / "run")
     assert delivered(recording) == MESSAGES

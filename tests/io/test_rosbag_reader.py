@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import random
 import sqlite3
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from mapfusion_io.read_limits import ReadLimits
 from mapfusion_io.rosbag1_reader import Rosbag1Recording
 from mapfusion_io.rosbag_reader import Sqlite3Recording
 from mapfusion_io.sniff import open_one
+from tests.ending import ends
 from tests.io.making import (
     SHARED,
     Sent,
@@ -88,15 +88,14 @@ def test_damaged_bags_end_in_an_error_or_with_losses(tmp_path: Path) -> None:
             damaged[rng.randrange(13, len(content))] ^= 1 << rng.randrange(8)
         path.write_bytes(damaged)
         recording = open_one(path)
-        start = time.perf_counter()
         try:
-            found = delivered(recording)
+            with ends():
+                found = delivered(recording)
         except LogReadError as error:
             outcomes["error"] += len(str(error).splitlines()) == 2
         else:
             outcomes["read" if len(found) == len(ROS1_MESSAGES) else "losses"] += 1
             assert recording.losses or len(found) >= len(ROS1_MESSAGES) - 1
-        assert time.perf_counter() - start < 5.0
     assert outcomes.total() == 150
     assert min(outcomes["error"], outcomes["read"]) > 10
 
@@ -200,10 +199,8 @@ def test_settings_that_would_take_minutes_to_parse_are_refused(tmp_path: Path) -
     connection.execute("UPDATE topics SET offered_qos_profiles = ?", ["- {a: b}\n" * 500_000])
     connection.commit()
     connection.close()
-    started_s = time.process_time()
-    with pytest.raises(LogReadError, match="QoS profiles"):
+    with ends(), pytest.raises(LogReadError, match="QoS profiles"):
         delivered(Sqlite3Recording(path))
-    assert time.process_time() - started_s < 1.0
 
 
 def test_more_topics_and_definitions_than_the_library_can_take_are_refused(tmp_path: Path) -> None:

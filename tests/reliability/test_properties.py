@@ -17,7 +17,7 @@ from tests.io.making import cdr, grid_message, raw_message, tf_message, update_m
 from tests.reliability.missions import GRID, POSE, TF
 from tests.reliability.missions import pose as pose_message
 
-EXAMPLES = settings(max_examples=60, deadline=None, derandomize=True)
+EXAMPLES = settings(max_examples=60)
 NUMBERS = st.floats(width=64)
 CELLS = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.integers(-128, 127))
 STAMPS = st.integers(0, END_OF_TIME_NS - 1)

@@ -108,7 +108,7 @@ def test_ends_of_long_maps_are_told_apart_though_images_wrap_around(at: tuple[in
     assert not differ(truth[None], poses, b.centre, 6.0, 3.0).all()
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(shapes=st.tuples(*[st.integers(3, 200)] * 4), seed=st.integers(0, 1000))
 def test_maps_of_any_shape_can_be_correlated(shapes: tuple[int, ...], seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -123,7 +123,6 @@ def test_walls_seen_from_the_other_side_are_counted() -> None:
     assert look(inside, inside).opposite == 0.0
 
 
-@settings(deadline=None)
 @given(hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=24), fill=st.just(False)))
 def test_runs_are_walls_connected_over_gaps(mask: Mask) -> None:
     rows, columns = np.nonzero(mask)

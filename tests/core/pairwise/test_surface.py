@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -215,7 +215,6 @@ def test_depth_agrees_with_the_distance_transform() -> None:
     assert off.mean() <= 0.5
 
 
-@settings(deadline=None)
 @given(hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12)), st.booleans())
 def test_small_islands_are_those_of_few_connected_cells(mask: Mask, is_diagonal: bool) -> None:
     least_cells = SPECKLE_CELLS if is_diagonal else POCKET_CELLS
