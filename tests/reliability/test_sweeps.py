@@ -21,7 +21,7 @@ from tests.io.making import (
 )
 from tests.reliability.sweeping import Outcomes, cuts, flips, smears, sweep
 
-MISSION = mission_messages(24)
+MISSION = mission_messages(12)
 RECORDING = mcap_bytes(MISSION, chunk_size=1000)
 
 
