@@ -39,7 +39,7 @@ def test_a_run_that_is_stopped_while_it_writes_removes_its_file(name: str, recor
     output = recording.with_name("fused.mcap")
     output.write_bytes(b"old")
     with started("replay", recording, output, "--force", "--interval", 0.02) as process:
-        for _ in range(2000):
+        for _ in range(12_000):
             if list(recording.parent.glob(".fused.mcap.*.partial")) or process.poll() is not None:
                 break
             time.sleep(0.005)
