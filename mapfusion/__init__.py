@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from mapfusion.version import __version__
 
 if TYPE_CHECKING:
-    from mapfusion.config import FusionConfig, ReplayConfig
+    from mapfusion.config import FusionConfig, Prior, ReplayConfig
     from mapfusion.errors import ConfigError, LogReadError, LogWriteError, MapfusionError, MissionError
     from mapfusion.fusion import fuse_pair
     from mapfusion.grid import OccupancyGrid
@@ -27,6 +27,7 @@ __all__ = [
     "MissionError",
     "OccupancyGrid",
     "PairFusion",
+    "Prior",
     "ReplayConfig",
     "RobotEvent",
     "__version__",
@@ -48,6 +49,7 @@ _MODULES = {
     "MissionError": "errors",
     "OccupancyGrid": "grid",
     "PairFusion": "result",
+    "Prior": "config",
     "ReplayConfig": "config",
     "RobotEvent": "steps",
     "fuse_pair": "fusion",

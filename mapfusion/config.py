@@ -57,6 +57,11 @@ class Prior:
     sigma_m: float = 0.0
     sigma_rad: float = 0.0
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it holds whatever the maps say."""
+        return self.sigma_m == 0.0 and self.sigma_rad == 0.0
+
     def __post_init__(self) -> None:
         if math.hypot(self.T_world_map.x_m, self.T_world_map.y_m) > FARTHEST_PRIOR_M:
             raise ValueError(f"a prior's position must lie within {FARTHEST_PRIOR_M:g} m")
@@ -101,10 +106,10 @@ class ReplayConfig:
     def __post_init__(self) -> None:
         if not 1e-3 <= self.interval_s <= MAX_SPAN_S:
             raise ValueError(f"interval_s must lie in 0.001..{MAX_SPAN_S:g} s, not {self.interval_s}")
-        if self.max_age_s is not None and not self.max_age_s > 0.0:
-            raise ValueError(f"max_age_s must be > 0 s, not {self.max_age_s}")
-        if not self.map_interval_s >= 0.0:
-            raise ValueError(f"map_interval_s must be >= 0 s, not {self.map_interval_s}")
+        if self.max_age_s is not None and not 0.0 < self.max_age_s <= MAX_SPAN_S:
+            raise ValueError(f"max_age_s must be > 0 s and at most {MAX_SPAN_S:g} s, not {self.max_age_s}")
+        if not 0.0 <= self.map_interval_s <= MAX_SPAN_S:
+            raise ValueError(f"map_interval_s must lie in 0..{MAX_SPAN_S:g} s, not {self.map_interval_s}")
         if self.blend not in ("log-odds", "max", "paper"):
             raise ValueError(f"blend must be 'log-odds', 'max' or 'paper', not {self.blend!r}")
         if self.resolution_m is not None and not (math.isfinite(self.resolution_m) and self.resolution_m > 0.0):
@@ -113,3 +118,9 @@ class ReplayConfig:
             raise ValueError(f"max_merged_cells must be >= 1, not {self.max_merged_cells}")
         if self.jobs < 1:
             raise ValueError(f"jobs must be >= 1, not {self.jobs}")
+        for apart in self.never:
+            if all(robot in self.priors and self.priors[robot].is_fixed for robot in apart):
+                raise ValueError(
+                    f"never and priors contradict each other: {' and '.join(sorted(apart))} are tied by both "
+                    "their known starts"
+                )

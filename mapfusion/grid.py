@@ -47,6 +47,8 @@ class OccupancyGrid:
 
     def __post_init__(self) -> None:
         cells = self.cells
+        if not isinstance(cells, np.ndarray):
+            raise ValueError(f"cells must be a numpy array, not {type(cells).__name__}")
         if cells.ndim != 2 or cells.dtype != np.int8 or cells.size == 0:
             raise ValueError(f"cells must be (height, width) int8 and not empty, not {cells.shape} {cells.dtype}")
         if int(cells.min()) < UNKNOWN or int(cells.max()) > 100:

@@ -38,17 +38,17 @@ class Groups:
     that meet take the lowest number; a group that parts leaves its number with the reference.
     """
 
-    def __init__(self, reference: str | None = None) -> None:
-        self._preferred = reference
+    def __init__(self) -> None:
         self._reference: dict[int, str] = {}
         self._num_formed = 0
         self._placements: dict[str, Placement] = {}
-        self._solved: tuple[dict[Pair, Edge], dict[str, Placement], dict[Pair, Misfit]] | None = None
+        self._solved: tuple[object, dict[str, Placement], dict[Pair, Misfit]] | None = None
 
-    def update(self, joins: Mapping[Pair, Edge]) -> GroupUpdate:
-        """The groups that follow from the joins."""
-        if self._solved is None or self._solved[0] != joins:
-            self._solved = (dict(joins), *self._solve(joins))
+    def update(self, joins: Mapping[Pair, Edge], reference: str | None = None) -> GroupUpdate:
+        """The groups that follow from the joins; the robot `reference` is that of the group it is in."""
+        asked = dict(joins), reference
+        if self._solved is None or self._solved[0] != asked:
+            self._solved = (asked, *self._solve(joins, reference))
         _, goals, dropped = self._solved
         goals = _without_singles({robot: goal for robot, goal in goals.items() if not self._is_elsewhere(robot, goal)})
         changes = self._changes(goals)
@@ -56,19 +56,21 @@ class Groups:
         self._placements = {robot: placements[robot] for robot in sorted(placements, key=natural_key)}
         return GroupUpdate(self._placements, changes, dropped)
 
-    def _solve(self, joins: Mapping[Pair, Edge]) -> tuple[dict[str, Placement], dict[Pair, Misfit]]:
+    def _solve(
+        self, joins: Mapping[Pair, Edge], reference: str | None
+    ) -> tuple[dict[str, Placement], dict[Pair, Misfit]]:
         """Where the joins place every robot, and the joins that contradict the others."""
         goals: dict[str, Placement] = {}
         dropped: dict[Pair, Misfit] = {}
         for members in components(list(joins)):
-            number = self._number(members)
+            number = self._number(members, reference)
             mine = {pair: edge for pair, edge in joins.items() if pair[0] in members}
             solution = solve(mine, self._reference[number])
             goals |= {robot: Placement(number, T) for robot, T in solution.T_reference_robot.items()}
             dropped |= solution.dropped
         return goals, dropped
 
-    def _number(self, members: tuple[str, ...]) -> int:
+    def _number(self, members: tuple[str, ...], preferred: str | None) -> int:
         owned = sorted(number for number, reference in self._reference.items() if reference in members)
         if owned:
             number = owned[0]
@@ -78,8 +80,8 @@ class Groups:
             self._reference[number] = members[0]
         for retired in owned[1:]:
             del self._reference[retired]
-        if self._preferred in members:
-            self._reference[number] = self._preferred
+        if preferred in members:
+            self._reference[number] = preferred
         return number
 
     def _is_elsewhere(self, robot: str, goal: Placement) -> bool:

@@ -16,7 +16,7 @@ from mapfusion.grid import OccupancyGrid
 from mapfusion.groups import Groups
 from mapfusion.joins import Joins, Look, held_back
 from mapfusion.merge import MergedMapTooLargeError, merge_grids
-from mapfusion.posegraph import Misfit, Pair, pair_key, separated
+from mapfusion.posegraph import Edge, Misfit, Pair, brought_together, pair_key, separated
 from mapfusion.priors import Priors, checked
 from mapfusion.result import PairFusion
 from mapfusion.steps import Event, FusionStep, PairReport, Path, Placement, PoseSource, StampArray
@@ -89,13 +89,15 @@ def _states(events: Iterable[Event], config: ReplayConfig, stack: ExitStack) -> 
 
 def _looked_at(read: Iterator[Snapshot], config: ReplayConfig, fuser: Fuser, each: Map) -> Iterator[_State]:
     """Looks at the pairs of every snapshot and places the robots."""
-    groups, priors = Groups(config.reference), Priors(config.priors, config.reference)
+    groups, priors = Groups(), Priors(config.priors, config.reference)
     joins = Joins(config.never, has_thorough=config.fusion.profile == "default")
     placements: Mapping[str, Placement] = {}
     for snapshot in read:
-        fusions, pair_changes = _look_at_pairs(snapshot, placements, joins, fuser, priors, config, each)
-        ties = priors.fixed_edges(snapshot.grids) if config.priors else {}
-        update = groups.update(separated(joins.held | ties, config.never))
+        ties = priors.fixed_edges(snapshot.grids, snapshot.robots)
+        fusions, pair_changes = _look_at_pairs(snapshot, placements, ties, joins, fuser, priors, config, each)
+        tied = joins.held | ties
+        kept = separated(tied, config.never, [pair for pair in tied if _are_together(pair, placements)])
+        update = groups.update(kept, priors.reference(snapshot.robots))
         placements = update.placements
         contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]
         for pair in update.dropped:
@@ -106,6 +108,7 @@ def _looked_at(read: Iterator[Snapshot], config: ReplayConfig, fuser: Fuser, eac
 def _look_at_pairs(
     snapshot: Snapshot,
     placements: Mapping[str, Placement],
+    ties: Mapping[Pair, Edge],
     joins: Joins,
     fuser: Fuser,
     priors: Priors,
@@ -132,8 +135,9 @@ def _look_at_pairs(
     fusions = {look.pair: fusion for look, fusion in zip(looks, each(take, looks), strict=True)}
     changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks]
     for pair, fusion in joins.ripe(snapshot).items():
-        asked = witnesses(pair, fusion, snapshot, placements)
-        verdict = checked_by(fusion, asked, list(each(take, asked)))
+        apart = brought_together(pair, [*joins.held, *ties], config.never)
+        asked = [] if apart else witnesses(pair, fusion, snapshot, placements)
+        verdict = _barred(fusion, apart) if apart else checked_by(fusion, asked, list(each(take, asked)))
         if verdict.accepted:
             changes.append(joins.join(pair, verdict, snapshot))
         else:
@@ -155,6 +159,13 @@ def _with_matches(verified: PairFusion, found: PairFusion | None) -> PairFusion:
         num_inliers=found.num_inliers,
         scale=found.scale,
     )
+
+
+def _barred(fusion: PairFusion, apart: tuple[str, ...]) -> PairFusion:
+    """A fusion that is held back, as it would tie two robots that must not come into one group."""
+    one, other = apart
+    reason = f"it would bring {one} and {other} into one group, which are to be kept apart (--never)"
+    return replace(fusion, accepted=False, gate="never", reason=reason)
 
 
 def _contradicted(pair: Pair, misfit: Misfit) -> str:
@@ -180,8 +191,12 @@ def _age_s(robot: str, snapshot: Snapshot) -> float:
 
 def _report(pair: Pair, fusion: PairFusion, snapshot: Snapshot, placements: Mapping[str, Placement]) -> PairReport:
     a, b = pair
-    placed = a in placements and b in placements and placements[a].group == placements[b].group
-    return PairReport(a, b, fusion, placed, _age_s(a, snapshot), _age_s(b, snapshot))
+    return PairReport(a, b, fusion, _are_together(pair, placements), _age_s(a, snapshot), _age_s(b, snapshot))
+
+
+def _are_together(pair: Pair, placements: Mapping[str, Placement]) -> bool:
+    a, b = (placements.get(robot) for robot in pair)
+    return a is not None and b is not None and a.group == b.group
 
 
 class _Poses:

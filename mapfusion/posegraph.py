@@ -74,17 +74,31 @@ def components(pairs: Sequence[Pair]) -> list[tuple[str, ...]]:
     return sorted(members, key=lambda robots: [natural_key(robot) for robot in robots])
 
 
-def separated(edges: Mapping[Pair, Edge], never: Collection[frozenset[str]]) -> dict[Pair, Edge]:
+def separated(
+    edges: Mapping[Pair, Edge], never: Collection[frozenset[str]], standing: Collection[Pair] = ()
+) -> dict[Pair, Edge]:
     """The edges without those that would tie two robots of `never` over any number of others.
 
-    The most confident edges are kept (Kruskal's way, where a union that would bring such a pair together is skipped).
+    Fixed edges are kept first, then `standing` ones, then the most confident (Kruskal's way, where a union that would
+    bring such a pair together is skipped).
     """
     members = {robot: frozenset({robot}) for pair in edges for robot in pair}
-    for pair in sorted(edges, key=lambda pair: (not edges[pair].is_fixed, -edges[pair].confidence, pair_key(pair))):
+
+    def rank(pair: Pair) -> tuple[object, ...]:
+        return not edges[pair].is_fixed, pair not in standing, -edges[pair].confidence, pair_key(pair)
+
+    for pair in sorted(edges, key=rank):
         union = members[pair[0]] | members[pair[1]]
         if not any(apart <= union for apart in never):
             members |= dict.fromkeys(union, union)
     return {pair: edge for pair, edge in edges.items() if pair[1] in members[pair[0]]}
+
+
+def brought_together(pair: Pair, edges: Collection[Pair], never: Collection[frozenset[str]]) -> tuple[str, ...]:
+    """The first two robots of `never` that an edge would tie over others beside the `edges` there are; maybe none."""
+    (union,) = (robots for robots in components([*edges, pair]) if pair[0] in robots)
+    tied = sorted((sorted(apart, key=natural_key) for apart in never if apart <= set(union)), key=str)
+    return tuple(tied[0]) if tied else ()
 
 
 def strongest(edges: Mapping[Pair, Edge], count: int) -> dict[Pair, Edge]:

@@ -52,11 +52,18 @@ class Priors:
         self._priors = dict(priors)
         self._reference = reference
 
+    def reference(self, robots: Collection[str]) -> str | None:
+        """The robot whose map frame is the world, the first of all that take part unless it was named; None where
+        neither a name nor a prior says that there is one."""
+        if self._reference is None and self._priors:
+            return min(robots, key=natural_key)
+        return self._reference
+
     def of_pair(self, pair: Pair, robots: Collection[str]) -> RelativePrior | None:
-        """What the priors of two robots say of each other, None where one of them has none."""
-        if not self._priors:
+        """What the priors of two of all robots say of each other, None where one of them has none."""
+        reference = self.reference(robots)
+        if reference is None or not self._priors:
             return None
-        reference = self._reference or min(robots, key=natural_key)
         known = {reference: Prior(SE2.identity()), **self._priors}
         if pair[0] not in known or pair[1] not in known:
             return None
@@ -67,11 +74,13 @@ class Priors:
             math.hypot(a.sigma_rad, b.sigma_rad),
         )
 
-    def fixed_edges(self, robots: Collection[str]) -> dict[Pair, Edge]:
-        """The ties that hold whatever the maps say, among the robots that have maps."""
+    def fixed_edges(self, mapped: Collection[str], robots: Collection[str]) -> dict[Pair, Edge]:
+        """The ties that hold whatever the maps say, between those of all robots that have maps."""
+        if not self._priors:
+            return {}
         covariance = np.diag([FIXED_SIGMA_M**2, FIXED_SIGMA_M**2, FIXED_SIGMA_RAD**2])
         edges = {}
-        for pair in combinations(sorted(robots, key=natural_key), 2):
+        for pair in combinations(sorted(mapped, key=natural_key), 2):
             prior = self.of_pair(pair, robots)
             if prior is not None and prior.is_fixed:
                 edges[pair] = Edge(prior.T_a_b, 1.0, covariance, is_fixed=True)

@@ -68,9 +68,16 @@ class PairSummary:
 
     @property
     def fusion(self) -> PairFusion:
-        """The look that speaks for the verdict."""
-        looks = (self.fitting, self.closest) if self.placed else (self.closest, self.fitting)
-        return looks[0] or looks[1] or self.latest.fusion
+        """The look that speaks for the verdict.
+
+        The latest one that accepted where the pair is joined; the latest one where it is placed over others, as it is a
+        look at where they are placed, or fits and waits to be confirmed; else the one that came closest.
+        """
+        if self.verdict == "joined":
+            return self.fitting or self.latest.fusion
+        if self.placed or self.latest.fusion.accepted:
+            return self.latest.fusion
+        return self.closest or self.latest.fusion
 
     @property
     def reason(self) -> str:

@@ -28,7 +28,11 @@ def config_callback(ctx: typer.Context, path: Path | None) -> Path | None:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"--config {path}: {error}") from error
-    known = {_file_name(parameter.opts): parameter for parameter in ctx.command.params if parameter.name}
+    known = {
+        _file_name(parameter.opts): parameter
+        for parameter in ctx.command.params
+        if parameter.name and parameter.name not in _NOT_IN_FILE
+    }
     unknown = sorted(key for key in values if key.replace("_", "-") not in known)
     if unknown:
         raise ConfigError(f"--config {path}: unknown option {', '.join(unknown)}; known are {', '.join(sorted(known))}")

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def info(
-    inputs: Annotated[list[Path], typer.Argument(metavar="INPUT...", help="Recordings.")],
+    inputs: Annotated[list[Path], typer.Argument(metavar="INPUT...", help="Recordings.", readable=False)],
     clock: ClockOption = Clock.header,
     align_start: AlignStartOption = False,
     robot: RobotOption = None,

@@ -55,7 +55,8 @@ PriorOption = Annotated[
         "--prior",
         metavar="NAME=X,Y,YAW[,SIGMA_M,SIGMA_DEG]",
         help="Known start: pose of the robot's map frame in the world, metres and radians. Fixed, or as sure as the "
-        "sigmas (metres, degrees) say. May be repeated.",
+        "sigmas (metres, degrees) say. The world is the map frame of --reference, or of the first robot. May be "
+        "repeated.",
     ),
 ]
 NeverOption = Annotated[

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -73,7 +72,11 @@ def replay(
     ctx: typer.Context,
     paths: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="INPUT... OUTPUT.mcap", help="Recordings, and last the file to write."),
+        typer.Argument(
+            metavar="INPUT... OUTPUT.mcap",
+            help="Recordings, and last the file to write.",
+            readable=False,  # whether an input can be read is not a matter of usage
+        ),
     ] = None,
     interval: Annotated[float, typer.Option(metavar="SECONDS", help="Time between snapshots.")] = 1.0,
     clock: ClockOption = Clock.header,
@@ -145,6 +148,7 @@ def replay(
 
     Exit codes: 0 done, 1 failed and nothing written, 2 wrong usage, 3 done but messages were lost.
     """
+    from mapfusion.config import MAX_SPAN_S
     from mapfusion_cli.printing import show
     from mapfusion_cli.replay_job import ReplayJob, run_job
     from mapfusion_cli.result import result_json, result_text
@@ -173,7 +177,7 @@ def replay(
         settings={
             "interval_s": interval,
             "max_age_s": max_age,
-            "map_interval_s": math.inf if final_only else map_interval,
+            "map_interval_s": MAX_SPAN_S if final_only else map_interval,
             "reference": reference,
             "blend": blend.value,
             "resolution_m": resolution,

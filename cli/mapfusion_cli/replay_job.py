@@ -13,9 +13,10 @@ from typing import Literal
 import cv2
 
 from mapfusion.config import FusionConfig, ReplayConfig
-from mapfusion.errors import ConfigError, LogReadError
+from mapfusion.errors import ConfigError, LogReadError, MissionError
 from mapfusion.pipeline import replay
 from mapfusion.summary import Summary
+from mapfusion.transform import SE2
 from mapfusion.version import __version__
 from mapfusion_cli.options import existing
 from mapfusion_cli.progress import StageProgress
@@ -72,6 +73,7 @@ class Done:
         mission: The recordings as they were understood, with their losses.
         summary: What came of it.
         losses: What could not be read, believed or made.
+        warnings: What the user should know before trusting the result.
         document: The same as it stands in the output, ready for JSON.
         left_out: What `--include-inputs` could not copy, in words.
         elapsed_s: Wall time of each stage by name.
@@ -81,6 +83,7 @@ class Done:
     mission: Mission
     summary: Summary
     losses: tuple[Loss, ...]
+    warnings: tuple[str, ...]
     document: Mapping[str, object]
     left_out: tuple[str, ...]
     elapsed_s: Mapping[str, float]
@@ -125,15 +128,30 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
                 elif step.is_last:
                     output.write(replace(step, pairs=tuple(pair.latest for pair in summary.pairs_in_order)))
                 progress.reached(step.stamp_ns)
+            if not summary.num_snapshots:
+                raise MissionError("the part from --start to --end holds no map.\nGive a longer one.")
             output.copy_rest()
             losses = (*mission.losses, *_left_out_of_maps(summary, config.max_merged_cells))
             if job.strict and losses:
                 loss = losses[0]
                 raise LogReadError(f"{loss.source}: {loss.kind} at {loss.where} (--strict): {loss.detail}")
-            document = summary_document(mission, summary, losses, job.world_frame)
+            warnings = (*mission.warnings, *_misread_starts(config, mission))
+            document = summary_document(mission, summary, losses, job.world_frame) | {"warnings": list(warnings)}
             output.finish(document, metadata_record(mission, losses, __version__, job.recorded_options))
     elapsed_s = {"reading": read_s - started_s, "fusing and writing": time.perf_counter() - read_s}
-    return Done(mission, summary, losses, document, _left_out(inputs), elapsed_s, job.output)
+    return Done(mission, summary, losses, warnings, document, _left_out(inputs), elapsed_s, job.output)
+
+
+def _misread_starts(config: ReplayConfig, mission: Mission) -> list[str]:
+    """A known start of the robot whose map frame is the world: it cannot hold as it stands."""
+    reference = config.reference or mission.robots[0].name
+    start = config.priors.get(reference)
+    if start is None or start.T_world_map == SE2.identity():
+        return []
+    return [
+        f"--prior {reference}: the world is the map frame of {reference}, which lies at its origin; its known start "
+        "only says where those of others lie from there"
+    ]
 
 
 def _left_out_of_maps(summary: Summary, max_cells: int) -> list[Loss]:
@@ -177,9 +195,10 @@ def _in_options(words: str) -> str:
         "mae_threshold",
         "max_merged_cells",
         "jobs",
+        "never",
     ):
         words = words.replace(name, f"--{name.removesuffix('_s').removesuffix('_m').replace('_', '-')}")
-    return words
+    return words.replace("priors", "--prior")
 
 
 def _refuse_output_that_is_input(job: ReplayJob) -> None:

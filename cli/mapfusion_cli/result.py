@@ -38,7 +38,7 @@ def result_text(done: Done, *, verbose: bool) -> str:
         "",
         *_pairs(summary.pairs_in_order),
         *_advice(done),
-        *(f"warning: {warning}" for warning in mission.warnings),
+        *(f"warning: {warning}" for warning in done.warnings),
         *_missing_poses(done),
         *losses_text(done.losses),
         *_unverifiable(done),
@@ -85,7 +85,7 @@ def _groups(done: Done) -> list[str]:
 
 def _pairs(pairs: Sequence[PairSummary]) -> list[str]:
     if not pairs:
-        return ["no pair of robots had maps at the same time", ""]
+        return ["no pair of robots was looked at: none that may be joined had maps at the same time", ""]
     rows = [("a", "b", "verdict", "MAE", "overlap", "confidence", "inliers", "x m", "y m", "yaw deg", "reason")]
     for pair in pairs:
         fusion, T = pair.fusion, pair.fusion.T_target_source

@@ -67,6 +67,10 @@ def unwinding() -> Iterator[None]:
             before[number] = signal.getsignal(number)
             signal.signal(number, unwind)
         yield
+    except SystemError as error:  # compiled code that the signal found as it returned
+        if isinstance(error.__cause__, (_Terminated, KeyboardInterrupt)):
+            raise error.__cause__ from None
+        raise
     finally:
         for heeded in heeded_again:
             heeded.set()

@@ -12,7 +12,7 @@ from rosbags.typesys.store import Typestore
 FrameNames = Callable[[str], str]
 """The new name of a frame, given its old name without a leading slash."""
 
-_HEADER = "std_msgs/msg/Header"
+_HEADER, _TRANSFORMS = "std_msgs/msg/Header", "tf2_msgs/msg/TFMessage"
 _FRAME_FIELDS = ("frame_id", "child_frame_id")
 
 _Plan = tuple[tuple[str, str, bool], ...]
@@ -22,18 +22,24 @@ class FrameEdits:
     """Renames the frames of messages and shifts their header stamps, in place.
 
     Frames are the text fields named `frame_id` and `child_frame_id`, wherever they stand in a message. Empty frames
-    and stamps of zero mean something else and stay.
+    and stamps of zero mean something else and stay. A frame has one parent: transforms to others may be cut off.
 
     Args:
         store: Knows the types of the messages.
         rename: New names of frames; a leading slash, which ROS 2 does not have, is dropped before and for good.
         shift_ns: Added to the stamps.
+        hung: New names of frames that have a parent already: transforms that give them another one are cut off.
+
+    Attributes:
+        num_cut: Messages of which transforms were cut off so far.
     """
 
-    def __init__(self, store: Typestore, rename: FrameNames, shift_ns: int) -> None:
+    def __init__(self, store: Typestore, rename: FrameNames, shift_ns: int, hung: frozenset[str] = frozenset()) -> None:
         self._store = store
         self._rename = rename
         self._shift_ns = shift_ns
+        self._hung = hung
+        self.num_cut = 0
         self._plans: dict[str, _Plan] = {}
 
     def apply(self, message: Any, type_name: str) -> bool:
@@ -46,7 +52,14 @@ class FrameEdits:
             else:
                 for part in value if is_many else (value,):
                     changed |= self.apply(part, nested)
-        return changed
+        return self._cut(message) or changed if type_name == _TRANSFORMS and self._hung else changed
+
+    def _cut(self, message: Any) -> bool:
+        kept = [transform for transform in message.transforms if transform.child_frame_id not in self._hung]
+        is_cut = len(kept) < len(message.transforms)
+        self.num_cut += is_cut
+        message.transforms = kept
+        return is_cut
 
     def _rename_field(self, message: Any, field: str, frame: str) -> bool:
         if not frame:

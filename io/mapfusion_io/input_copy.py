@@ -24,6 +24,8 @@ _MAX_QOS_CHARACTERS = 65_536
 MAX_DEFINITIONS = 500
 """Most different definitions that are copied: each takes some ten milliseconds and 200 kB."""
 
+CUT = "transforms in it give a map frame another parent than the results do"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CopySource:
@@ -36,6 +38,8 @@ class CopySource:
         frame_names_for: The new names of the frames in a channel's messages; None leaves them as they are.
         time_shift_ns: Added to header stamps.
         log_shift_ns: Added to log times, which puts the messages beside the results of their time.
+        hung_for: Of the frames in a channel's transforms, by their new names, those that hang in the results' frames:
+            transforms that would hang them elsewhere too are left out.
     """
 
     recording: Recording
@@ -43,6 +47,7 @@ class CopySource:
     frame_names_for: Callable[[Channel], FrameNames | None]
     time_shift_ns: int = 0
     log_shift_ns: int = 0
+    hung_for: Callable[[Channel], frozenset[str]] = lambda channel: frozenset()
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -118,11 +123,18 @@ class InputCopy:
         for raw in source.recording.messages(lambda channel: True):
             if raw.channel not in routes:
                 routes[raw.channel] = self._route_or_reason(source, raw.channel)
-            copied = _copied(raw, routes[raw.channel], source.log_shift_ns)
+            route = routes[raw.channel]
+            num_cut = _num_cut(route)
+            copied = _copied(raw, route, source.log_shift_ns)
+            if _num_cut(route) > num_cut:
+                self._leave_out(source, raw.channel, CUT)
             if isinstance(copied, OutgoingMessage):
                 yield copied
             else:
-                self._left_out[source.recording.path.name, raw.channel.topic, raw.channel.schema_name, copied] += 1
+                self._leave_out(source, raw.channel, copied)
+
+    def _leave_out(self, source: CopySource, channel: Channel, reason: str) -> None:
+        self._left_out[source.recording.path.name, channel.topic, channel.schema_name, reason] += 1
 
     def _route_or_reason(self, source: CopySource, channel: Channel) -> _Route | str:
         """Where a channel goes, or why it stays out."""
@@ -148,8 +160,15 @@ class InputCopy:
         rename = source.frame_names_for(channel)
         if rename is None and form.recorded_as_ros1:
             rename = str  # the edits drop leading slashes
-        edits = FrameEdits(form.store, rename or str, source.time_shift_ns) if rename or source.time_shift_ns else None
+        hung = source.hung_for(channel) if topic in (TF_TOPIC, TF_STATIC_TOPIC) else frozenset()
+        is_edited = rename or source.time_shift_ns or hung
+        edits = FrameEdits(form.store, rename or str, source.time_shift_ns, hung) if is_edited else None
         return _Route(topic, _qos(channel, topic, form), form, edits)
+
+
+def _num_cut(route: _Route | str) -> int:
+    """Messages of which transforms were cut off so far."""
+    return 0 if isinstance(route, str) or route.edits is None else route.edits.num_cut
 
 
 def _transform_topic(channel: Channel, form: Ros2Form) -> str:

@@ -31,6 +31,7 @@ def mission_copy(mission: Mission) -> InputCopy:
                 _frames(mission, survey),
                 mission.shifts_ns[survey.name],
                 mission.shifts_ns[survey.name] + survey.clock_lag_ns,
+                _hung(mission, survey),
             )
             for survey in mission.surveys
         ]
@@ -51,3 +52,14 @@ def _frames(mission: Mission, survey: Survey) -> Callable[[Channel], FrameNames 
         return lambda frame: mission.unique_frames.unique(survey, channel.topic, frame)
 
     return frame_names_for
+
+
+def _hung(mission: Mission, survey: Survey) -> Callable[[Channel], frozenset[str]]:
+    map_frames = {robot.found.map_frame for robot in mission.robots}
+
+    def hung_for(channel: Channel) -> frozenset[str]:
+        buffer = survey.topics[channel.topic].buffer
+        children = {frame for frame in buffer.frames if buffer.parents(frame)}
+        return frozenset(mission.unique_frames.unique(survey, channel.topic, frame) for frame in children) & map_frames
+
+    return hung_for

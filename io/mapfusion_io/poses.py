@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 from mapfusion.errors import ConfigError
 from mapfusion.steps import natural_key
@@ -100,9 +101,10 @@ def _choose(robot: MapTopic, tree: TransformBuffer, found: FoundRobots, override
         return _from_given_frame(robot, overrides.base_frames[robot.robot], tree, found)
     misses = []
     for base in _base_frames(robot, tree):
-        chain = _moving(tree.chain(robot.map_frame, base))
-        if chain is not None:
-            return _through_frame(robot, base, chain)
+        for root in _roots(robot, found):
+            chain = _moving(tree.chain(root, base))
+            if chain is not None:
+                return _through_frame(robot, root, base, chain)
         static = tree.chain(robot.map_frame, base) is not None
         misses.append(f"{base} (only static transforms, which say no time)" if static else base)
     for topic in _pose_topics(robot):
@@ -120,8 +122,17 @@ def _moving(chain: TransformChain | None) -> TransformChain | None:
     return chain if chain is not None and chain.stamps_ns.size else None
 
 
-def _through_frame(robot: MapTopic, base: str, chain: TransformChain) -> PoseChoice:
-    return PoseChoice(chain, f"/tf:{robot.map_frame}.{base}", _transform_topics(robot))
+def _roots(robot: MapTopic, found: FoundRobots) -> list[str]:
+    """The robot's map frame, and what transforms call it that are not the robot's alone.
+
+    Where several robots of one recording map in one frame, each has got a map frame of its own.
+    """
+    shared = found.unique_frames.of_recording[robot.survey.name] + robot.frame
+    return list(dict.fromkeys((robot.map_frame, shared)))
+
+
+def _through_frame(robot: MapTopic, root: str, base: str, chain: TransformChain) -> PoseChoice:
+    return PoseChoice(chain, f"/tf:{root}.{base}", _transform_topics(robot))
 
 
 def _by_topic(robot: MapTopic, topic: TopicSurvey, chain: TransformChain) -> PoseChoice:
@@ -183,8 +194,9 @@ def _from_given_topic(robot: MapTopic, name: str, tree: TransformBuffer) -> Pose
 
 
 def _from_given_frame(robot: MapTopic, name: str, tree: TransformBuffer, found: FoundRobots) -> PoseChoice:
-    for frame in (name.strip("/"), found.unique_frames.unique(robot.survey, robot.topic.topic, name.strip("/"))):
-        chain = _moving(tree.chain(robot.map_frame, frame))
+    frames = (name.strip("/"), found.unique_frames.unique(robot.survey, robot.topic.topic, name.strip("/")))
+    for root, frame in product(_roots(robot, found), frames):
+        chain = _moving(tree.chain(root, frame))
         if chain is not None:
-            return _through_frame(robot, frame, chain)
+            return _through_frame(robot, root, frame, chain)
     raise ConfigError(f"--base-frame {robot.robot}={name}: no transforms connect it to {robot.map_frame}")

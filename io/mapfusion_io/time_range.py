@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from mapfusion.config import MAX_SPAN_S
 from mapfusion.errors import ConfigError
 
 UNIX_FROM_S = 1e8
 """Numbers from here on are unix times; smaller ones are seconds from the mission's start (1e8 s are three years)."""
+LAST_S = 9e9
+"""Unix times end soon after, as nanoseconds of 64 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +39,8 @@ class TimeRange:
         start_ns = None if self.start is None else _parse("--start", self.start, first_ns)
         end_ns = None if self.end is None else _parse("--end", self.end, first_ns)
         if self.duration_s is not None:
-            if not (math.isfinite(self.duration_s) and self.duration_s > 0.0):
-                raise ConfigError(f"--duration must be > 0 s, not {self.duration_s:g}")
+            if not 0.0 < self.duration_s <= MAX_SPAN_S:
+                raise ConfigError(f"--duration must be > 0 s and at most {MAX_SPAN_S:g} s, not {self.duration_s:g}")
             end_ns = (first_ns if start_ns is None else start_ns) + round(self.duration_s * 1e9)
         if start_ns is not None and end_ns is not None and end_ns <= start_ns:
             raise ConfigError("the time range is empty: --end lies before --start")
@@ -57,7 +59,7 @@ def _parse(option: str, text: str, first_ns: int) -> int:
             ) from None
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         return round(moment.timestamp() * 1e9)
-    if not math.isfinite(seconds) or seconds < 0.0:
-        raise ConfigError(f"{option} {text}: must be a finite number of seconds, 0 or more")
+    if not 0.0 <= seconds <= LAST_S:
+        raise ConfigError(f"{option} {text}: must be a number of seconds from 0 to {LAST_S:g}")
     whole, fraction = divmod(seconds, 1.0)
     return int(whole) * 1_000_000_000 + round(fraction * 1e9) + (0 if seconds >= UNIX_FROM_S else first_ns)

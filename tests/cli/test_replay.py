@@ -12,6 +12,9 @@ from mapfusion.simulation.mission_config import MissionConfig
 from mapfusion.transform import SE2
 from mapfusion_io.mission_writer import write_mission
 from tests.cli.conftest import Command
+from tests.io.making import Sent, cdr, mcap_bytes, tf_message
+from tests.reliability.missions import START_NS, TF
+from tests.reliability.missions import mission as small_mission
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared" / "data"
 SHORT = ("--duration", 12, "--interval", 2)
@@ -92,6 +95,19 @@ def test_inputs_stand_beside_the_results_byte_for_byte(mapfusion: Command, recor
     assert len(maps(output)) > 5
 
 
+def test_a_map_frame_of_the_inputs_hangs_in_the_world_alone(mapfusion: Command, tmp_path: Path, output: Path) -> None:
+    recording = tmp_path / "run.mcap"
+    hung = Sent("/tf_static", TF, START_NS, cdr(tf_message(("earth", "a/map"), ("earth", "tower"))))
+    recording.write_bytes(mcap_bytes([hung, *small_mission(2)]))
+    ran = mapfusion("replay", recording, output, "--include-inputs", "--profile", "paper", "--prior", "b=1,2,0")
+    assert (ran.code, "not copied: run.mcap /tf_static" in ran.out) == (0, True)
+    with AnyReader([output]) as bag:
+        found = [bag.deserialize(data, c.msgtype) for c, _, data in bag.messages() if c.topic in ("/tf", "/tf_static")]
+    parents = {(t.header.frame_id, t.child_frame_id) for message in found for t in message.transforms}  # type: ignore[attr-defined]
+    assert {parent for parent, child in parents if child == "a/map"} == {"world"}
+    assert ("earth", "tower") in parents
+
+
 def test_refused_pairs_are_explained_with_the_nearest_miss(mapfusion: Command, tmp_path: Path, output: Path) -> None:
     config = MissionConfig(seed=3, num_robots=2, num_buildings=2, duration_s=15.0)
     write_mission(simulate_mission(config), tmp_path / "apart.mcap", poses="pose")
@@ -130,6 +146,13 @@ def test_names_frames_and_times_can_be_chosen(mapfusion: Command, recording: Pat
         (["{recording}", "{out}", "--prior", "robot1=0,0,0,1"], 2, "SIGMA_DEG"),
         (["{recording}", "{out}", "--never", "robot1,robot9"], 2, "there is no such robot"),
         (["{recording}", "{out}", "--never", "robot1"], 2, "two robots"),
+        (["{recording}", "{out}", "--map-interval", "inf"], 2, "--map-interval must lie in"),
+        (
+            ["{recording}", "{out}", "--prior", "robot1=0,0,0", "--prior", "robot2=1,1,1", "--never", "robot1,robot2"],
+            2,
+            "--never and --prior contradict each other",
+        ),
+        (["{recording}", "{out}", "--duration", "0.001"], 1, "holds no map"),
         (["{recording}", "{out}", "--interval", "0"], 2, "--interval must"),
         (["{recording}", "{out}", "--blend", "soup"], 2, "soup"),
         (["{recording}", "{out}", "--robot", "robot1"], 2, "NAME=VALUE"),
@@ -199,7 +222,9 @@ def test_options_come_from_a_file_and_go_back_into_one(
     assert mapfusion("replay", "--config", settings, "--print-config").out == printed.out
     settings.write_text("intervall = 5.0\n")
     wrong = mapfusion("replay", recording, output, "--config", settings)
-    assert (wrong.code, "unknown option intervall" in wrong.err) == (2, True)
+    assert (wrong.code, "unknown option intervall; known are align-start," in wrong.err) == (2, True)
+    settings.write_text("config = 'other.toml'\n")
+    assert mapfusion("replay", recording, output, "--config", settings).code == 2
 
 
 def test_an_earlier_result_is_no_recording_of_robots(mapfusion: Command, recording: Path, tmp_path: Path) -> None:

@@ -91,6 +91,20 @@ def test_two_signals_at_once_amid_such_a_function_end_the_run(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_as_compiled_code_returns_ends_the_run(signum: signal.Signals) -> None:
+    def returned() -> None:
+        try:
+            signal.raise_signal(signum)
+        except BaseException as found:
+            raise SystemError("a compiled function returned a result with an exception set") from found
+
+    with pytest.raises(SystemExit if signum == signal.SIGTERM else KeyboardInterrupt):
+        _run(returned)
+    with pytest.raises(SystemError, match="of its own"), unwinding():
+        raise SystemError("of its own")
+
+
 def test_a_signal_that_is_forgotten_as_the_run_ends_hits_nothing_after_it() -> None:
     with unwinding():
         _amid_a_callback(lambda: signal.raise_signal(signal.SIGINT))()

@@ -30,6 +30,11 @@ def test_impossible_grids_are_refused(cells: np.ndarray, resolution_m: float) ->
         OccupancyGrid(cells, resolution_m, SE2.identity())
 
 
+def test_lists_are_no_cells() -> None:
+    with pytest.raises(ValueError, match="numpy"):
+        OccupancyGrid([[0, 100]], 0.1, SE2.identity())  # type: ignore[arg-type]
+
+
 def test_cell_centres_honour_the_origin_and_its_yaw() -> None:
     cells = flat(2, 2, 0)
     cells[0, 1] = 100

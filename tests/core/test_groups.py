@@ -10,8 +10,10 @@ def join(x_m: float = 1.0, y_m: float = 0.0, yaw_rad: float = 0.0, confidence: f
     return Edge(SE2(x_m, y_m, yaw_rad), confidence)
 
 
-def updated(groups: Groups, joins: dict[Pair, Edge]) -> tuple[dict[str, Placement], tuple[str, ...]]:
-    update = groups.update(joins)
+def updated(
+    groups: Groups, joins: dict[Pair, Edge], reference: str | None = None
+) -> tuple[dict[str, Placement], tuple[str, ...]]:
+    update = groups.update(joins, reference)
     return dict(update.placements), update.changes
 
 
@@ -24,7 +26,7 @@ def test_a_group_lives_in_the_frame_of_its_first_robot() -> None:
 
 
 def test_the_preferred_reference_is_the_frame_of_its_group_only() -> None:
-    placements, _ = updated(Groups("r2"), {("r1", "r2"): join(1.0), ("r3", "r4"): join(2.0)})
+    placements, _ = updated(Groups(), {("r1", "r2"): join(1.0), ("r3", "r4"): join(2.0)}, "r2")
     assert placements["r2"].T_group_map == SE2.identity()
     assert placements["r1"].T_group_map == SE2(-1.0, 0.0, 0.0)
     assert placements["r3"].T_group_map == SE2.identity()

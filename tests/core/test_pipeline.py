@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -105,9 +106,70 @@ def test_a_known_start_ties_robots_without_any_overlap() -> None:
     assert set(last.placements) == {"a", "b", "c"}
 
 
+def test_a_known_start_is_relative_to_the_first_robot_though_others_have_maps_before_it() -> None:
+    events: list[Event] = [
+        *(robot_event(robot) for robot in "abc"),
+        grid_event("c", 0.0, grid_of(flat(40, 40))),
+        grid_event("b", 1.0, MAP_B),
+        grid_event("a", 4.0, MAP_A),
+    ]
+    steps = list(replay(events, replace(PAPER, priors={"c": Prior(SE2(3.0, 4.0, 0.5))})))
+    assert not any(step.placements for step in steps[:4])
+    assert steps[-1].placements["a"].T_group_map == SE2.identity()
+    assert steps[-1].placements["c"].T_group_map == SE2(3.0, 4.0, 0.5)
+
+
+def test_the_world_of_known_starts_is_the_first_robots_though_others_joined_before_it() -> None:
+    events: list[Event] = [
+        *(robot_event(robot) for robot in "abc"),
+        grid_event("b", 0.0, MAP_A),
+        grid_event("c", 0.0, MAP_B),
+        grid_event("c", 12.0, MAP_B),
+        grid_event("a", 14.0, grid_of(flat(40, 40))),
+    ]
+    steps = list(replay(events, replace(PAPER, priors={"b": Prior(SE2(3.0, 4.0, 0.5))})))
+    assert sorted(steps[13].placements) == ["b", "c"]
+    assert steps[-1].placements["a"].T_group_map == SE2.identity()
+    assert steps[-1].placements["b"].T_group_map == SE2(3.0, 4.0, 0.5)
+
+
 def test_a_pair_that_must_not_join_does_not() -> None:
     *_, last = replay(mission(), replace(PAPER, never=frozenset({frozenset({"a", "b"})})))
     assert not last.placements
+
+
+def test_a_join_that_would_bring_robots_together_that_must_not_is_refused_by_name() -> None:
+    apart = frozenset({frozenset({"b", "c"})})
+    events: list[Event] = [
+        *(robot_event(robot) for robot in "abc"),
+        grid_event("a", 0.0, MAP_A),
+        grid_event("b", 0.0, MAP_B),
+        grid_event("b", 2.0, MAP_B),
+        *(grid_event("c", 4.0 + second, MAP_B) for second in range(0, 40, 4)),
+    ]
+    steps = list(replay(events, replace(PAPER, never=apart)))
+    assert [change for step in steps for change in step.changes] == ["a and b join", "group 1 formed: a, b"]
+    assert sorted(steps[-1].placements) == ["a", "b"]
+    (refused,) = (report for report in steps[-1].pairs if (report.a, report.b) == ("a", "c"))
+    assert (refused.fusion.accepted, refused.fusion.gate) == (False, "never")
+    assert "b and c" in refused.fusion.reason
+    free = list(replay(events, PAPER))
+    assert sorted(free[-1].placements) == ["a", "b", "c"]
+
+
+def test_known_starts_of_two_that_must_not_join_are_refused() -> None:
+    starts = {"a": Prior(SE2.identity()), "b": Prior(SE2(1.0, 2.0, 0.0))}
+    with pytest.raises(ValueError, match="a and b"):
+        ReplayConfig(priors=starts, never=frozenset({frozenset({"a", "b"})}))
+    soft = {"a": Prior(SE2.identity()), "b": Prior(SE2(1.0, 2.0, 0.0), 0.5, 0.1)}
+    assert ReplayConfig(priors=soft, never=frozenset({frozenset({"a", "b"})})).priors == soft
+
+
+def test_spans_are_finite() -> None:
+    with pytest.raises(ValueError, match="map_interval_s"):
+        ReplayConfig(map_interval_s=math.inf)
+    with pytest.raises(ValueError, match="max_age_s"):
+        ReplayConfig(max_age_s=math.inf)
 
 
 def test_a_robot_far_away_is_left_out_of_the_merged_map_and_named() -> None:

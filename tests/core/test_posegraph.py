@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from mapfusion.posegraph import Edge, Pair, components, separated, solve, strongest
+from mapfusion.posegraph import Edge, Pair, brought_together, components, separated, solve, strongest
 from mapfusion.transform import SE2
 
 
@@ -135,6 +135,22 @@ def test_robots_that_must_stay_apart_are_cut_at_the_least_confident_tie() -> Non
     kept = separated(edges, [frozenset({"a", "d"})])
     assert set(kept) == {("a", "b"), ("c", "d"), ("x", "y")}
     assert separated(edges, []) == edges
+
+
+def test_what_stands_is_kept_before_what_is_more_confident() -> None:
+    edges = {("a", "b"): Edge(SE2.identity(), 0.9), ("b", "c"): Edge(SE2.identity(), 0.99)}
+    never = [frozenset({"a", "c"})]
+    assert set(separated(edges, never)) == {("b", "c")}
+    assert set(separated(edges, never, standing=[("a", "b")])) == {("a", "b")}
+    fixed = edges | {("b", "c"): Edge(SE2.identity(), 1.0, is_fixed=True)}
+    assert set(separated(fixed, never, standing=[("a", "b")])) == {("b", "c")}
+
+
+def test_whom_an_edge_would_bring_together() -> None:
+    never = [frozenset({"d", "a"}), frozenset({"x", "y"})]
+    assert brought_together(("b", "c"), [("a", "b"), ("c", "d"), ("x", "z")], never) == ("a", "d")
+    assert brought_together(("a", "d"), [], never) == ("a", "d")
+    assert brought_together(("b", "c"), [("a", "b"), ("x", "z")], never) == ()
 
 
 def test_of_many_edges_the_strongest_of_each_robot_and_a_tree_remain() -> None:

@@ -26,7 +26,7 @@ def test_a_reference_without_a_prior_stands_at_the_origin() -> None:
 
 def test_fixed_priors_tie_robots_and_soft_ones_do_not() -> None:
     priors = Priors({"r2": Prior(SE2(5.0, 0.0, 0.0)), "r3": Prior(SE2(1.0, 0.0, 0.0), 0.5, 0.1)}, None)
-    edges = priors.fixed_edges(["r1", "r2", "r3"])
+    edges = priors.fixed_edges(["r1", "r2", "r3"], ["r1", "r2", "r3"])
     assert list(edges) == [("r1", "r2")]
     assert edges["r1", "r2"].is_fixed
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from rosbags.typesys.stores import ros2_humble as ros
 
 from mapfusion_io import input_copy
 from mapfusion_io.definitions import default_store
-from mapfusion_io.input_copy import CopySource, InputCopy, LeftOut
+from mapfusion_io.input_copy import CUT, CopySource, InputCopy, LeftOut
 from mapfusion_io.interfaces import Attachment, Channel, Loss, RawMessage
 from mapfusion_io.output import MissionWriter
 from tests.io.fake_steps import START_NS, make_steps
@@ -175,6 +175,19 @@ def test_frames_are_renamed_and_transforms_gather_on_one_topic(tmp_path: Path) -
         ("/tf_static", "robot2/odom", "robot2/laser"),
     ]
     assert [c.qos.durability.name for c in copied] == ["VOLATILE", "VOLATILE", "TRANSIENT_LOCAL"]
+
+
+def test_a_frame_that_hangs_in_the_results_frames_gets_no_second_parent(tmp_path: Path) -> None:
+    channel = ros2_channel("/tf_static", "tf2_msgs/msg/TFMessage")
+    both = transforms("earth", "robot1/map")
+    both.transforms += transforms("robot1/base_link", "laser").transforms
+    inner = cdr(transforms("robot1/map", "robot1/odom"))
+    sent = source(raw(channel, cdr(both)), raw(channel, inner, START_NS + 1))
+    inputs = copy_to(tmp_path / "out.mcap", replace(sent, hung_for=lambda channel: frozenset({"robot1/map"})))
+    copied = read(tmp_path / "out.mcap")
+    assert [[t.child_frame_id for t in c.message.transforms] for c in copied] == [["laser"], ["robot1/odom"]]
+    assert copied[1].data == inner
+    assert [(left.topic, left.count, left.reason) for left in inputs.left_out] == [("/tf_static", 1, CUT)]
 
 
 def test_a_shift_moves_log_times_and_stamps(tmp_path: Path) -> None:

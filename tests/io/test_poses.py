@@ -54,6 +54,26 @@ def test_namespaced_transforms_with_bare_frames() -> None:
     assert x_at(choices["b"], 0.0) == pytest.approx(1.0)
 
 
+def test_robots_that_map_in_one_frame_are_told_apart_by_their_base_frames() -> None:
+    send = Sender()
+    edges = [(parent, f"{robot}/base_link") for robot, parent in (("a", "map"), ("b", "b/odom"))]
+    one = surveyed(
+        "run",
+        *(send.grid(f"/{robot}/map", 0.0, "map") for robot in "ab"),
+        *moving(send, "/tf", *edges, ("map", "b/odom")),
+        *moving(send, "/tf", ("map", "c")),
+    )
+    choices = chosen(one)
+    assert {robot: choice.origin for robot, choice in choices.items()} == {
+        "a": "/tf:map.a/base_link",
+        "b": "/tf:map.b/base_link",
+    }
+    assert x_at(choices["a"], 0.5) == pytest.approx(1.0)
+    assert x_at(choices["b"], 0.5) == pytest.approx(2.0)
+    given = chosen(one, frames={"a": "c"})
+    assert given["a"].origin == "/tf:map.c"
+
+
 def test_one_bag_for_each_robot_with_the_same_frames() -> None:
     files = []
     for name in ("1", "2"):

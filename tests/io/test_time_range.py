@@ -27,6 +27,8 @@ def test_a_duration_counts_from_the_start() -> None:
         TimeRange(start="noon"),
         TimeRange(start="-3"),
         TimeRange(start="inf"),
+        TimeRange(start="1e300"),
+        TimeRange(duration_s=1e300),
         TimeRange(start="5", end="5"),
         TimeRange(end="5", duration_s=1.0),
         TimeRange(duration_s=0.0),
