@@ -96,8 +96,7 @@ class Groups:
 
     def _frame_stayed(self, number: int) -> bool:
         """Whether a group's frame is the one it had at the last snapshot."""
-        placement = self._placements.get(self._reference[number])
-        return placement is not None and placement.T_group_map == SE2.identity()
+        return self._placements.get(self._reference[number]) == Placement(number, SE2.identity())
 
     def _changes(self, goals: Mapping[str, Placement]) -> tuple[str, ...]:
         before, after = _by_group(self._placements), _by_group(goals)
@@ -113,6 +112,8 @@ class Groups:
                 changes.append(f"group {number} ended: {', '.join(left)}")
             elif left:
                 changes.append(f"left group {number}: {', '.join(left)}")
+            if old and new and not self._frame_stayed(number):
+                changes.append(f"group {number} lives in the map frame of {self._reference[number]} from now on")
         return tuple(changes)
 
     def _approach(self, robot: str, goal: Placement) -> Placement:

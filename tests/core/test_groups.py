@@ -32,6 +32,18 @@ def test_the_preferred_reference_is_the_frame_of_its_group_only() -> None:
     assert placements["r3"].T_group_map == SE2.identity()
 
 
+@pytest.mark.parametrize("others", [{}, {("r1", "r4"): join(7.0)}])
+def test_a_group_moves_into_the_frame_of_the_preferred_reference_at_once_and_says_so(others: dict[Pair, Edge]) -> None:
+    groups = Groups()
+    updated(groups, {("r2", "r3"): join(3.0)}, "r1")
+    updated(groups, {("r2", "r3"): join(3.0), **others}, "r1")
+    placements, changes = updated(groups, {("r2", "r3"): join(3.0), **others, ("r1", "r2"): join(5.0)}, "r1")
+    assert {placement.group for placement in placements.values()} == {1}
+    assert placements["r1"].T_group_map == SE2.identity()
+    assert placements["r3"].T_group_map.distance_to(SE2(8.0, 0.0, 0.0))[0] < 1e-9
+    assert "group 1 lives in the map frame of r1 from now on" in changes
+
+
 def test_a_robot_that_joins_later_does_not_move_the_frame_though_it_comes_first() -> None:
     groups = Groups()
     updated(groups, {("r2", "r3"): join()})
