@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +16,7 @@ from mapfusion_cli.options import (
     MAX_MAP_CELLS,
     MAX_MESSAGES,
     MAX_ROBOTS,
+    WORLD_FRAME,
     AlignStartOption,
     BaseFrameOption,
     Clock,
@@ -28,6 +31,8 @@ from mapfusion_cli.options import (
     RobotOption,
     existing,
     mission_options,
+    real_paths,
+    taken_frames,
 )
 
 if TYPE_CHECKING:
@@ -60,6 +65,7 @@ def info(
     from mapfusion_io.mission import open_recording
     from mapfusion_io.mission_summary import mission_document
 
+    real_paths(inputs)
     existing(inputs)
     options = mission_options(
         clock=clock,
@@ -79,6 +85,8 @@ def info(
         pass
     flags = ["--align-start"] if align_start or mission.are_apart_in_time else []
     flags += ["--clock", "log"] if clock is Clock.log else []
+    free = next(name for name in _world_frames() if not taken_frames(name, mission.frames))
+    flags += [] if free == WORLD_FRAME else ["--world-frame", free]
     command = _replay_command(inputs, flags, robot=robot, drop=drop, pose=pose, base_frame=base_frame)
     if json:
         document = {**mission_document(mission, mission.losses), "replay_command": command}
@@ -129,6 +137,13 @@ def info_text(mission: Mission, command: str) -> str:
     else:
         lines += ["", f"nothing to fuse: {len(mission.robots)} robots with a map, two are needed"]
     return "\n".join(map(one_line, lines))
+
+
+def _world_frames() -> Iterator[str]:
+    """Names for the merged frame, the usual one first."""
+    yield WORLD_FRAME
+    yield "fused"
+    yield from (f"fused{number}" for number in count(2))
 
 
 def _replay_command(inputs: list[Path], flags: list[str], **repeated: list[str] | None) -> str:

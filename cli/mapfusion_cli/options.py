@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Collection, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
 
 _LIMITS = "Limits: what is over one is passed over and named as a loss"
+
+
+WORLD_FRAME = "world"
 
 
 class Clock(StrEnum):
@@ -222,3 +226,25 @@ def existing(paths: Sequence[Path]) -> None:
             raise os_error(path, error) from error
         if not is_there:
             raise LogReadError(f"{path}: there is no such file or folder")
+
+
+def real_paths(inputs: Sequence[Path]) -> list[Path]:
+    """Where the inputs lie.
+
+    Raises:
+        ConfigError: An input is given twice.
+    """
+    paths = [Path(os.path.realpath(path)) for path in inputs]  # Path.resolve fails on links in a circle
+    if len(set(paths)) < len(paths):
+        raise ConfigError("an input is given twice")
+    return paths
+
+
+def taken_frames(world_frame: str, frames: Collection[str]) -> list[str]:
+    """The recordings' frames that have the name of a group's frame, sorted."""
+    prefix = f"{world_frame}_"
+    return sorted(
+        frame
+        for frame in frames
+        if frame == world_frame or (frame.startswith(prefix) and frame.removeprefix(prefix).isdecimal())
+    )

@@ -15,6 +15,7 @@ from mapfusion_cli.options import (
     MAX_MAP_CELLS,
     MAX_MESSAGES,
     MAX_ROBOTS,
+    WORLD_FRAME,
     AlignStartOption,
     BaseFrameOption,
     Clock,
@@ -91,7 +92,7 @@ def replay(
     drop: DropOption = None,
     pose: PoseOption = None,
     base_frame: BaseFrameOption = None,
-    world_frame: Annotated[str, typer.Option(metavar="FRAME", help="Name of the merged frame.")] = "world",
+    world_frame: Annotated[str, typer.Option(metavar="FRAME", help="Name of the merged frame.")] = WORLD_FRAME,
     reference: Annotated[
         str | None, typer.Option(metavar="ROBOT", help="The robot whose map frame its group lives in.")
     ] = None,

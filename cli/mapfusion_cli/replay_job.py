@@ -18,7 +18,7 @@ from mapfusion.pipeline import replay
 from mapfusion.summary import Summary
 from mapfusion.transform import SE2
 from mapfusion.version import __version__
-from mapfusion_cli.options import existing
+from mapfusion_cli.options import existing, real_paths, taken_frames
 from mapfusion_cli.progress import StageProgress
 from mapfusion_io.atomic import refuse_target
 from mapfusion_io.input_copy import InputCopy
@@ -204,9 +204,7 @@ def _in_options(words: str) -> str:
 def _refuse_output_that_is_input(job: ReplayJob) -> None:
     if str(job.output) == "-":
         raise ConfigError("-: the output must be a file; it is completed before it gets its name")
-    inputs = [Path(os.path.realpath(path)) for path in job.inputs]  # Path.resolve fails on links in a circle
-    if len(set(inputs)) < len(inputs):
-        raise ConfigError("an input is given twice")
+    inputs = real_paths(job.inputs)
     target = Path(os.path.realpath(job.output))
     for path in inputs:
         if target == path or path in target.parents:
@@ -216,13 +214,9 @@ def _refuse_output_that_is_input(job: ReplayJob) -> None:
 def _refuse_taken_frame(world_frame: str, mission: Mission) -> None:
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_/]*", world_frame):
         raise ConfigError(f"--world-frame {world_frame!r}: must be letters, digits, _ and /, and not begin with /")
-    taken = [frame for frame in mission.frames if frame == world_frame or _is_group_frame(frame, world_frame)]
+    taken = taken_frames(world_frame, mission.frames)
     if taken:
         raise ConfigError(f"the recordings already have a frame {min(taken)!r}; choose another name with --world-frame")
-
-
-def _is_group_frame(frame: str, world_frame: str) -> bool:
-    return frame.startswith(world_frame + "_") and frame.removeprefix(world_frame + "_").isdecimal()
 
 
 def _left_out(inputs: InputCopy | None) -> tuple[str, ...]:

@@ -239,6 +239,8 @@ def test_an_earlier_result_is_no_recording_of_robots(mapfusion: Command, recordi
     again = mapfusion("replay", first, tmp_path / "second.mcap")
     assert again.code == 2
     assert "--world-frame" in again.err
+    assert found["replay_command"].split()[-3:] == ["fused.mcap", "--world-frame", "fused"]
+    assert mapfusion("info", first, first).code == 2
 
 
 def test_three_real_bags_of_one_robot_each(mapfusion: Command, tmp_path: Path) -> None:
