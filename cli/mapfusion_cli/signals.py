@@ -67,16 +67,24 @@ def unwinding() -> Iterator[None]:
             before[number] = signal.getsignal(number)
             signal.signal(number, unwind)
         yield
-    except SystemError as error:  # compiled code that the signal found as it returned
-        if isinstance(error.__cause__, (_Terminated, KeyboardInterrupt)):
-            raise error.__cause__ from None
-        raise
+    except SystemError as error:  # compiled code that the signal found as it was called or returned
+        asked = _asked_by(error)
+        if asked is None:
+            raise
+        raise asked from None
     finally:
         for heeded in heeded_again:
             heeded.set()
         for number, handler in before.items():
             signal.signal(number, handler)
         sys.unraisablehook = hook_before
+
+
+def _asked_by(error: BaseException | None) -> BaseException | None:
+    """What a signal raised, where an error came of it."""
+    while error is not None and not isinstance(error, (_Terminated, KeyboardInterrupt)):
+        error = error.__cause__ or error.__context__
+    return error
 
 
 def _is_within(frame: FrameType | None, code: CodeType) -> bool:
