@@ -81,7 +81,8 @@ class ReplayConfig:
         reference: Robot whose map frame is its group's frame; None: the first robot in natural order.
         blend: How cells that several maps know are combined.
         resolution_m: Cell size of merged maps; None: the finest of the group's maps.
-        priors: Known starts, by robot.
+        priors: Known starts, by robot, in the map frame of the reference; without one of the first of all robots, which
+            must be announced before the first grid then.
         never: Pairs of robots that must not come into one group.
         max_merged_cells: A merged map of more cells is not made.
         start_ns: No snapshot before this time; grids from before it still count. None: from the first stamp.
@@ -119,8 +120,14 @@ class ReplayConfig:
         if self.jobs < 1:
             raise ValueError(f"jobs must be >= 1, not {self.jobs}")
         for apart in self.never:
-            if all(robot in self.priors and self.priors[robot].is_fixed for robot in apart):
+            if all(self._is_fixed(robot) for robot in apart):
                 raise ValueError(
                     f"never and priors contradict each other: {' and '.join(sorted(apart))} are tied by both "
                     "their known starts"
                 )
+
+    def _is_fixed(self, robot: str) -> bool:
+        """Whether it is known for sure where a robot's map lies in the world."""
+        if robot in self.priors:
+            return self.priors[robot].is_fixed
+        return robot == self.reference and bool(self.priors)

@@ -253,6 +253,10 @@ class Joins:
         edges = {pair: state.edge for pair, state in self._states.items() if state.edge is not None}
         return strongest(edges, NUM_TIES)
 
+    def found(self, pair: Pair) -> PairFusion | None:
+        """The search that a pair's join came of; None where there was none."""
+        return self._states[pair].found if pair in self._states else None
+
     def drop(self, pair: Pair) -> None:
         """Ends a join, so that the pair is searched anew."""
         state = self._states[pair]

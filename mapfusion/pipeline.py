@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
@@ -92,23 +92,27 @@ def _looked_at(read: Iterator[Snapshot], config: ReplayConfig, fuser: Fuser, eac
     groups, priors = Groups(), Priors(config.priors, config.reference)
     joins = Joins(config.never, has_thorough=config.fusion.profile == "default")
     placements: Mapping[str, Placement] = {}
+    barred: Mapping[Pair, str] = {}
     for snapshot in read:
+        fusions, pair_changes = _look_at_pairs(snapshot, placements, joins, fuser, priors, config, each)
         ties = priors.fixed_edges(snapshot.grids, snapshot.robots)
-        fusions, pair_changes = _look_at_pairs(snapshot, placements, ties, joins, fuser, priors, config, each)
         tied = joins.held | ties
         kept = separated(tied, config.never, [pair for pair in tied if _are_together(pair, placements)])
-        update = groups.update(kept, priors.reference(snapshot.robots))
+        update = groups.update(kept, config.reference or priors.world(ties, snapshot.robots))
         placements = update.placements
         contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]
         for pair in update.dropped:
             joins.drop(pair)
-        yield _State(snapshot, placements, fusions, (*pair_changes, *contradicted, *update.changes))
+        before, barred = barred, {pair: _why_barred(pair, kept, config.never) for pair in tied if pair not in kept}
+        newly = {pair: why for pair, why in barred.items() if pair not in before}
+        fusions = _with_barred(fusions, barred, {pair: joins.found(pair) for pair in newly})
+        held_apart = [f"{pair[0]} and {pair[1]} are held apart: {why}" for pair, why in newly.items()]
+        yield _State(snapshot, placements, fusions, (*pair_changes, *contradicted, *held_apart, *update.changes))
 
 
 def _look_at_pairs(
     snapshot: Snapshot,
     placements: Mapping[str, Placement],
-    ties: Mapping[Pair, Edge],
     joins: Joins,
     fuser: Fuser,
     priors: Priors,
@@ -135,9 +139,8 @@ def _look_at_pairs(
     fusions = {look.pair: fusion for look, fusion in zip(looks, each(take, looks), strict=True)}
     changes = [joins.record(look, fusions[look.pair], snapshot) for look in looks]
     for pair, fusion in joins.ripe(snapshot).items():
-        apart = brought_together(pair, [*joins.held, *ties], config.never)
-        asked = [] if apart else witnesses(pair, fusion, snapshot, placements)
-        verdict = _barred(fusion, apart) if apart else checked_by(fusion, asked, list(each(take, asked)))
+        asked = witnesses(pair, fusion, snapshot, placements)
+        verdict = checked_by(fusion, asked, list(each(take, asked)))
         if verdict.accepted:
             changes.append(joins.join(pair, verdict, snapshot))
         else:
@@ -161,11 +164,21 @@ def _with_matches(verified: PairFusion, found: PairFusion | None) -> PairFusion:
     )
 
 
-def _barred(fusion: PairFusion, apart: tuple[str, ...]) -> PairFusion:
-    """A fusion that is held back, as it would tie two robots that must not come into one group."""
-    one, other = apart
-    reason = f"it would bring {one} and {other} into one group, which are to be kept apart (--never)"
-    return replace(fusion, accepted=False, gate="never", reason=reason)
+def _why_barred(pair: Pair, kept: Mapping[Pair, Edge], never: Collection[frozenset[str]]) -> str:
+    """Why a join ties nobody: beside the joins that are kept it would tie two robots that must stay apart."""
+    one, other = brought_together(pair, list(kept), never)
+    return f"it would bring {one} and {other} into one group, which must not be (--never)"
+
+
+def _with_barred(
+    fusions: Mapping[Pair, PairFusion], barred: Mapping[Pair, str], found: Mapping[Pair, PairFusion | None]
+) -> dict[Pair, PairFusion]:
+    """The looks of a snapshot, refused where their joins tie nobody, and those of other pairs that are to be told."""
+    told = {pair: fusion for pair, fusion in found.items() if fusion is not None} | dict(fusions)
+    for pair, why in barred.items():
+        if pair in told and told[pair].accepted:
+            told[pair] = replace(told[pair], accepted=False, gate="never", reason=why)
+    return {pair: told[pair] for pair in sorted(told, key=pair_key)}
 
 
 def _contradicted(pair: Pair, misfit: Misfit) -> str:

@@ -97,8 +97,8 @@ def separated(
 def brought_together(pair: Pair, edges: Collection[Pair], never: Collection[frozenset[str]]) -> tuple[str, ...]:
     """The first two robots of `never` that an edge would tie over others beside the `edges` there are; maybe none."""
     (union,) = (robots for robots in components([*edges, pair]) if pair[0] in robots)
-    tied = sorted((sorted(apart, key=natural_key) for apart in never if apart <= set(union)), key=str)
-    return tuple(tied[0]) if tied else ()
+    tied = (tuple(sorted(apart, key=natural_key)) for apart in never if apart <= set(union))
+    return min(tied, key=lambda apart: [natural_key(robot) for robot in apart], default=())
 
 
 def strongest(edges: Mapping[Pair, Edge], count: int) -> dict[Pair, Edge]:

@@ -59,6 +59,11 @@ class Priors:
             return min(robots, key=natural_key)
         return self._reference
 
+    def world(self, ties: Collection[Pair], robots: Collection[str]) -> str | None:
+        """The reference, where it is tied to another robot by fixed priors: these place both in its map frame."""
+        reference = self.reference(robots)
+        return reference if any(reference in pair for pair in ties) else None
+
     def of_pair(self, pair: Pair, robots: Collection[str]) -> RelativePrior | None:
         """What the priors of two of all robots say of each other, None where one of them has none."""
         reference = self.reference(robots)

@@ -70,8 +70,9 @@ class PairSummary:
     def fusion(self) -> PairFusion:
         """The look that speaks for the verdict.
 
-        The latest one that accepted where the pair is joined; the latest one where it is placed over others, as it is a
-        look at where they are placed, or fits and waits to be confirmed; else the one that came closest.
+        The latest one that accepted where the pair is joined; the latest one where it is placed over others, which is
+        one at where they are placed as soon as a map has changed since, or where it fits and waits to be confirmed;
+        else the one that came closest.
         """
         if self.verdict == "joined":
             return self.fitting or self.latest.fusion

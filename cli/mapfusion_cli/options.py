@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _LIMITS = "Limits: what is over one is passed over and named as a loss"
 
-
 WORLD_FRAME = "world"
+"""Usual name of the merged frame."""
 
 
 class Clock(StrEnum):

@@ -129,7 +129,9 @@ def run_job(job: ReplayJob, *, quiet: bool) -> Done:
                     output.write(replace(step, pairs=tuple(pair.latest for pair in summary.pairs_in_order)))
                 progress.reached(step.stamp_ns)
             if not summary.num_snapshots:
-                raise MissionError("the part from --start to --end holds no map.\nGive a longer one.")
+                part = " from --start to --end" if (mission.start_ns, mission.end_ns) != (None, None) else ""
+                lost = f"{len(mission.losses)} losses; " if mission.losses else ""
+                raise MissionError(f"there is no map to use{part}.\n{lost}`mapfusion info` lists what there is.")
             output.copy_rest()
             losses = (*mission.losses, *_left_out_of_maps(summary, config.max_merged_cells))
             if job.strict and losses:
@@ -146,7 +148,7 @@ def _misread_starts(config: ReplayConfig, mission: Mission) -> list[str]:
     """A known start of the robot whose map frame is the world: it cannot hold as it stands."""
     reference = config.reference or mission.robots[0].name
     start = config.priors.get(reference)
-    if start is None or start.T_world_map == SE2.identity():
+    if start is None or (start.T_world_map == SE2.identity() and start.is_fixed):
         return []
     return [
         f"--prior {reference}: the world is the map frame of {reference}, which lies at its origin; its known start "
@@ -165,6 +167,7 @@ def _left_out_of_maps(summary: Summary, max_cells: int) -> list[Loss]:
 def _config(job: ReplayJob, mission: Mission) -> ReplayConfig:
     try:
         config = ReplayConfig(fusion=FusionConfig(**job.fusion), start_ns=mission.start_ns, **job.settings)  # type: ignore[arg-type]
+        replace(config, reference=config.reference or mission.robots[0].name)  # known starts count from this one
     except ValueError as error:
         raise ConfigError(_in_options(str(error))) from error
     num_snapshots = mission.reported_ns * 1e-9 / config.interval_s
@@ -187,6 +190,7 @@ def _config(job: ReplayJob, mission: Mission) -> ReplayConfig:
 
 def _in_options(words: str) -> str:
     """An error about a field, in terms of the option that sets it."""
+    fields, colon, robots = words.partition(": ")
     for name in (
         "map_interval_s",
         "interval_s",
@@ -196,9 +200,11 @@ def _in_options(words: str) -> str:
         "max_merged_cells",
         "jobs",
         "never",
+        "priors",
     ):
-        words = words.replace(name, f"--{name.removesuffix('_s').removesuffix('_m').replace('_', '-')}")
-    return words.replace("priors", "--prior")
+        option = "prior" if name == "priors" else name.removesuffix("_s").removesuffix("_m").replace("_", "-")
+        fields = re.sub(rf"\b{name}\b", f"--{option}", fields)
+    return fields + colon + robots
 
 
 def _refuse_output_that_is_input(job: ReplayJob) -> None:
@@ -216,7 +222,7 @@ def _refuse_taken_frame(world_frame: str, mission: Mission) -> None:
         raise ConfigError(f"--world-frame {world_frame!r}: must be letters, digits, _ and /, and not begin with /")
     taken = taken_frames(world_frame, mission.frames)
     if taken:
-        raise ConfigError(f"the recordings already have a frame {min(taken)!r}; choose another name with --world-frame")
+        raise ConfigError(f"the recordings already have a frame {taken[0]!r}; choose another name with --world-frame")
 
 
 def _left_out(inputs: InputCopy | None) -> tuple[str, ...]:

@@ -32,6 +32,7 @@ class FrameEdits:
 
     Attributes:
         num_cut: Messages of which transforms were cut off so far.
+        num_emptied: Those of them of which nothing is left.
     """
 
     def __init__(self, store: Typestore, rename: FrameNames, shift_ns: int, hung: frozenset[str] = frozenset()) -> None:
@@ -39,7 +40,7 @@ class FrameEdits:
         self._rename = rename
         self._shift_ns = shift_ns
         self._hung = hung
-        self.num_cut = 0
+        self.num_cut = self.num_emptied = 0
         self._plans: dict[str, _Plan] = {}
 
     def apply(self, message: Any, type_name: str) -> bool:
@@ -58,6 +59,7 @@ class FrameEdits:
         kept = [transform for transform in message.transforms if transform.child_frame_id not in self._hung]
         is_cut = len(kept) < len(message.transforms)
         self.num_cut += is_cut
+        self.num_emptied += is_cut and not kept
         message.transforms = kept
         return is_cut
 

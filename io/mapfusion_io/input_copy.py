@@ -24,7 +24,7 @@ _MAX_QOS_CHARACTERS = 65_536
 MAX_DEFINITIONS = 500
 """Most different definitions that are copied: each takes some ten milliseconds and 200 kB."""
 
-CUT = "transforms in it give a map frame another parent than the results do"
+CUT = "transforms in it that give a robot's map frame a parent, which is the merged frame as soon as it is joined"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ class CopySource:
 
 @dataclass(frozen=True, slots=True, order=True)
 class LeftOut:
-    """Messages that were not copied.
+    """Messages that were not copied, or not wholly.
 
     Attributes:
         source: Base name of the recording.
@@ -124,12 +124,13 @@ class InputCopy:
             if raw.channel not in routes:
                 routes[raw.channel] = self._route_or_reason(source, raw.channel)
             route = routes[raw.channel]
-            num_cut = _num_cut(route)
+            num_cut, num_emptied = _nums_cut(route)
             copied = _copied(raw, route, source.log_shift_ns)
-            if _num_cut(route) > num_cut:
-                self._leave_out(source, raw.channel, CUT)
             if isinstance(copied, OutgoingMessage):
-                yield copied
+                if _nums_cut(route)[0] > num_cut:
+                    self._leave_out(source, raw.channel, CUT)
+                if _nums_cut(route)[1] == num_emptied:
+                    yield copied
             else:
                 self._leave_out(source, raw.channel, copied)
 
@@ -166,9 +167,9 @@ class InputCopy:
         return _Route(topic, _qos(channel, topic, form), form, edits)
 
 
-def _num_cut(route: _Route | str) -> int:
-    """Messages of which transforms were cut off so far."""
-    return 0 if isinstance(route, str) or route.edits is None else route.edits.num_cut
+def _nums_cut(route: _Route | str) -> tuple[int, int]:
+    """Messages of which transforms were cut off so far, and those of which nothing is left."""
+    return (0, 0) if isinstance(route, str) or route.edits is None else (route.edits.num_cut, route.edits.num_emptied)
 
 
 def _transform_topic(channel: Channel, form: Ros2Form) -> str:

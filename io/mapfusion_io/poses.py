@@ -101,10 +101,9 @@ def _choose(robot: MapTopic, tree: TransformBuffer, found: FoundRobots, override
         return _from_given_frame(robot, overrides.base_frames[robot.robot], tree, found)
     misses = []
     for base in _base_frames(robot, tree):
-        for root in _roots(robot, found):
-            chain = _moving(tree.chain(root, base))
-            if chain is not None:
-                return _through_frame(robot, root, base, chain)
+        chain = _moving(tree.chain(robot.map_frame, base))
+        if chain is not None:
+            return _through_frame(robot, robot.map_frame, base, chain)
         static = tree.chain(robot.map_frame, base) is not None
         misses.append(f"{base} (only static transforms, which say no time)" if static else base)
     for topic in _pose_topics(robot):
@@ -112,6 +111,11 @@ def _choose(robot: MapTopic, tree: TransformBuffer, found: FoundRobots, override
         if chain is not None:
             return _by_topic(robot, topic, chain)
         misses.append(f"{topic.topic} in {', '.join(sorted(topic.frames))}")
+    shared = _shared_map_frame(robot, found)
+    for base in _own_base_frames(robot, tree):
+        chain = None if shared is None else _moving(tree.chain(shared, base))
+        if shared is not None and chain is not None:
+            return _through_frame(robot, shared, base, chain)
     if not misses:
         return PoseChoice(None, f"no base frame in /tf and no pose or odometry topic in {robot.map_frame}")
     return PoseChoice(None, f"nothing moving connects {robot.map_frame} to {', '.join(misses)}")
@@ -122,13 +126,24 @@ def _moving(chain: TransformChain | None) -> TransformChain | None:
     return chain if chain is not None and chain.stamps_ns.size else None
 
 
-def _roots(robot: MapTopic, found: FoundRobots) -> list[str]:
-    """The robot's map frame, and what transforms call it that are not the robot's alone.
+def _shared_map_frame(robot: MapTopic, found: FoundRobots) -> str | None:
+    """What transforms call the robot's map frame where several robots of a recording map in one frame; else None.
 
-    Where several robots of one recording map in one frame, each has got a map frame of its own.
+    Each has got a map frame of its own then. Transforms in the robot's own namespace name that one.
     """
-    shared = found.unique_frames.of_recording[robot.survey.name] + robot.frame
-    return list(dict.fromkeys((robot.map_frame, shared)))
+    if not any(
+        other is not robot and other.survey is robot.survey and other.frame == robot.frame for other in found.robots
+    ):
+        return None
+    transforms = [topic for topic in robot.survey.topics.values() if topic.role == "transform"]
+    if any(topic.topic.strip("/").startswith(f"{robot.namespace}/") for topic in transforms):
+        return None
+    names = (
+        found.unique_frames.unique(robot.survey, topic.topic, robot.frame)
+        for topic in transforms
+        if robot.frame in topic.buffer.frames
+    )
+    return next(names, None)
 
 
 def _through_frame(robot: MapTopic, root: str, base: str, chain: TransformChain) -> PoseChoice:
@@ -148,9 +163,7 @@ def _transform_topics(robot: MapTopic) -> frozenset[str]:
 
 def _base_frames(robot: MapTopic, tree: TransformBuffer) -> list[str]:
     """Base frames under the robot's prefix, else the only ones that hang below its map frame."""
-    frame = robot.map_frame
-    prefix = frame.removesuffix("map") if frame.endswith("map") else f"{frame.rpartition('/')[0]}/".lstrip("/")
-    under_prefix = [prefix + base for base in BASE_FRAMES if prefix + base in tree.frames]
+    under_prefix = _own_base_frames(robot, tree)
     if under_prefix:
         return under_prefix
     return sorted(
@@ -161,6 +174,13 @@ def _base_frames(robot: MapTopic, tree: TransformBuffer) -> list[str]:
         ),
         key=natural_key,
     )[:1]
+
+
+def _own_base_frames(robot: MapTopic, tree: TransformBuffer) -> list[str]:
+    """Base frames under the robot's prefix."""
+    frame = robot.map_frame
+    prefix = frame.removesuffix("map") if frame.endswith("map") else f"{frame.rpartition('/')[0]}/".lstrip("/")
+    return [prefix + base for base in BASE_FRAMES if prefix + base in tree.frames]
 
 
 def may_tell_poses(robot: MapTopic, topic: TopicSurvey) -> bool:
@@ -195,8 +215,9 @@ def _from_given_topic(robot: MapTopic, name: str, tree: TransformBuffer) -> Pose
 
 def _from_given_frame(robot: MapTopic, name: str, tree: TransformBuffer, found: FoundRobots) -> PoseChoice:
     frames = (name.strip("/"), found.unique_frames.unique(robot.survey, robot.topic.topic, name.strip("/")))
-    for root, frame in product(_roots(robot, found), frames):
-        chain = _moving(tree.chain(root, frame))
-        if chain is not None:
+    roots = (robot.map_frame, _shared_map_frame(robot, found))
+    for root, frame in product(roots, frames):
+        chain = None if root is None else _moving(tree.chain(root, frame))
+        if root is not None and chain is not None:
             return _through_frame(robot, root, frame, chain)
     raise ConfigError(f"--base-frame {robot.robot}={name}: no transforms connect it to {robot.map_frame}")

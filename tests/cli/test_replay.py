@@ -148,11 +148,16 @@ def test_names_frames_and_times_can_be_chosen(mapfusion: Command, recording: Pat
         (["{recording}", "{out}", "--never", "robot1"], 2, "two robots"),
         (["{recording}", "{out}", "--map-interval", "inf"], 2, "--map-interval must lie in"),
         (
+            ["{recording}", "{out}", "--prior", "robot2=1,1,1", "--never", "robot1,robot2"],
+            2,
+            "robot1 and robot2 are tied",
+        ),
+        (
             ["{recording}", "{out}", "--prior", "robot1=0,0,0", "--prior", "robot2=1,1,1", "--never", "robot1,robot2"],
             2,
             "--never and --prior contradict each other",
         ),
-        (["{recording}", "{out}", "--duration", "0.001"], 1, "holds no map"),
+        (["{recording}", "{out}", "--duration", "0.001"], 1, "there is no map to use from --start to --end"),
         (["{recording}", "{out}", "--interval", "0"], 2, "--interval must"),
         (["{recording}", "{out}", "--blend", "soup"], 2, "soup"),
         (["{recording}", "{out}", "--robot", "robot1"], 2, "NAME=VALUE"),

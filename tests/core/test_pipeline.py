@@ -148,7 +148,12 @@ def test_a_join_that_would_bring_robots_together_that_must_not_is_refused_by_nam
         *(grid_event("c", 4.0 + second, MAP_B) for second in range(0, 40, 4)),
     ]
     steps = list(replay(events, replace(PAPER, never=apart)))
-    assert [change for step in steps for change in step.changes] == ["a and b join", "group 1 formed: a, b"]
+    assert [change for step in steps for change in step.changes] == [
+        "a and b join",
+        "group 1 formed: a, b",
+        "a and c join",
+        "a and c are held apart: it would bring b and c into one group, which must not be (--never)",
+    ]
     assert sorted(steps[-1].placements) == ["a", "b"]
     (refused,) = (report for report in steps[-1].pairs if (report.a, report.b) == ("a", "c"))
     assert (refused.fusion.accepted, refused.fusion.gate) == (False, "never")
@@ -157,10 +162,60 @@ def test_a_join_that_would_bring_robots_together_that_must_not_is_refused_by_nam
     assert sorted(free[-1].placements) == ["a", "b", "c"]
 
 
+def test_a_robot_that_was_held_apart_joins_when_the_other_leaves() -> None:
+    other = [seen_from(rooms(seed=seed), T_PLACE_B, (260, 260)) for seed in (5, 6, 7, 8)]
+    events: list[Event] = [
+        *(robot_event(robot) for robot in "abc"),
+        grid_event("a", 0.0, MAP_A),
+        grid_event("b", 0.0, MAP_B),
+        grid_event("c", 20.0, MAP_B),
+        *(grid_event("b", 50.0 + 40.0 * i, grid) for i, grid in enumerate(other)),
+    ]
+    steps = list(replay(events, ReplayConfig(interval_s=2.0, never=frozenset({frozenset({"b", "c"})}))))
+    changes = [change for step in steps for change in step.changes]
+    assert changes.index("left group 1: b") == changes.index("joined group 1: c") + 1
+    assert sorted(steps[-1].placements) == ["a", "c"]
+
+
+def test_of_two_joins_at_once_the_more_confident_one_holds_where_both_must_not() -> None:
+    events: list[Event] = [
+        *(robot_event(robot) for robot in "abc"),
+        grid_event("a", 0.0, MAP_A),
+        grid_event("b", 0.0, seen_from(PLACE, T_PLACE_B, (110, 260))),
+        grid_event("c", 0.0, MAP_B),
+    ]
+    free = {(report.a, report.b): report.fusion for report in list(replay(events))[-1].pairs}
+    assert free["a", "b"].accepted
+    assert free["a", "b"].confidence < free["a", "c"].confidence
+    *_, last = replay(events, ReplayConfig(never=frozenset({frozenset({"b", "c"})})))
+    assert sorted(last.placements) == ["a", "c"]
+
+
+def test_a_join_that_a_known_start_puts_an_end_to_is_named_and_bars_nobody_else() -> None:
+    events: list[Event] = [
+        *(robot_event(robot) for robot in "abcd"),
+        grid_event("a", 0.0, MAP_A),
+        grid_event("b", 0.0, MAP_B),
+        grid_event("b", 12.0, MAP_B),
+        grid_event("c", 20.0, grid_of(flat(40, 40))),
+        grid_event("d", 30.0, MAP_B),
+    ]
+    apart = frozenset({frozenset({"b", "c"})})
+    steps = list(replay(events, replace(PAPER, priors={"c": Prior(SE2(3.0, 4.0, 0.5))}, never=apart)))
+    changes = [change for step in steps for change in step.changes]
+    assert "a and b are held apart: it would bring b and c into one group, which must not be (--never)" in changes
+    groups = {robot: placement.group for robot, placement in steps[-1].placements.items()}
+    assert groups["a"] == groups["c"]
+    assert "d" in groups
+    assert groups.get("b") != groups["c"]
+
+
 def test_known_starts_of_two_that_must_not_join_are_refused() -> None:
     starts = {"a": Prior(SE2.identity()), "b": Prior(SE2(1.0, 2.0, 0.0))}
     with pytest.raises(ValueError, match="a and b"):
         ReplayConfig(priors=starts, never=frozenset({frozenset({"a", "b"})}))
+    with pytest.raises(ValueError, match="a and b"):
+        ReplayConfig(priors={"b": starts["b"]}, reference="a", never=frozenset({frozenset({"a", "b"})}))
     soft = {"a": Prior(SE2.identity()), "b": Prior(SE2(1.0, 2.0, 0.0), 0.5, 0.1)}
     assert ReplayConfig(priors=soft, never=frozenset({frozenset({"a", "b"})})).priors == soft
 

@@ -182,12 +182,13 @@ def test_a_frame_that_hangs_in_the_results_frames_gets_no_second_parent(tmp_path
     both = transforms("earth", "robot1/map")
     both.transforms += transforms("robot1/base_link", "laser").transforms
     inner = cdr(transforms("robot1/map", "robot1/odom"))
-    sent = source(raw(channel, cdr(both)), raw(channel, inner, START_NS + 1))
+    alone = raw(channel, cdr(transforms("earth", "robot1/map")), START_NS + 2)
+    sent = source(raw(channel, cdr(both)), raw(channel, inner, START_NS + 1), alone)
     inputs = copy_to(tmp_path / "out.mcap", replace(sent, hung_for=lambda channel: frozenset({"robot1/map"})))
     copied = read(tmp_path / "out.mcap")
     assert [[t.child_frame_id for t in c.message.transforms] for c in copied] == [["laser"], ["robot1/odom"]]
     assert copied[1].data == inner
-    assert [(left.topic, left.count, left.reason) for left in inputs.left_out] == [("/tf_static", 1, CUT)]
+    assert [(left.topic, left.count, left.reason) for left in inputs.left_out] == [("/tf_static", 2, CUT)]
 
 
 def test_a_shift_moves_log_times_and_stamps(tmp_path: Path) -> None:

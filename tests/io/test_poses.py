@@ -74,6 +74,39 @@ def test_robots_that_map_in_one_frame_are_told_apart_by_their_base_frames() -> N
     assert given["a"].origin == "/tf:map.c"
 
 
+def test_a_shared_frame_comes_after_what_the_robot_has_of_its_own() -> None:
+    send = Sender()
+    own_pose = surveyed(
+        "run",
+        *(send.grid(f"/{robot}/map", 0.0, "map") for robot in "ab"),
+        *moving(send, "/tf", ("map", "a/odom"), ("map", "b/odom")),
+        *(raw for robot in "ab" for raw in moving(send, f"/{robot}/tf", ("odom", "base_link"))),
+        *(send.pose(f"/{robot}/pose", time_s, "map") for robot in "ab" for time_s in (0.0, 1.0)),
+    )
+    assert {choice.origin for choice in chosen(own_pose).values()} == {"/a/pose", "/b/pose"}
+    send = Sender()
+    own_base = surveyed(
+        "run",
+        *(send.grid(f"/{robot}/map", 0.0, "map") for robot in "ab"),
+        *(raw for robot in "ab" for raw in moving(send, f"/{robot}/tf", ("map", "base_footprint"))),
+        *moving(send, "/tf", ("map", "a/base_link"), ("map", "b/base_link")),
+    )
+    assert chosen(own_base)["a"].origin == "/tf:a/map.a/base_footprint"
+
+
+def test_another_recordings_frame_of_the_same_name_is_not_shared() -> None:
+    send = Sender()
+    first = surveyed(
+        "one",
+        *(send.grid(f"/{robot}/map", 0.0, "map") for robot in "ab"),
+        *moving(send, "/a/tf", ("map", "body")),
+    )
+    send = Sender()
+    second = surveyed("two", send.grid("/map", 0.0, "map"), *moving(send, "/tf", ("map", "base_link")))
+    with pytest.raises(ConfigError, match="no transforms connect it"):
+        chosen(first, second, frames={"a": "base_link"})
+
+
 def test_one_bag_for_each_robot_with_the_same_frames() -> None:
     files = []
     for name in ("1", "2"):

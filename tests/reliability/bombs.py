@@ -66,6 +66,8 @@ BOMBS = {
 
 def cost(recording: Path) -> Cost:
     """Opens a recording in a process of its own; Linux only."""
-    ran = subprocess.run([sys.executable, "-c", MEASURED, recording], capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", MEASURED, recording], capture_output=True, text=True, check=True, timeout=300
+    )
     cpu_s, peak_mib, words = ran.stdout.split(maxsplit=2)
     return Cost(float(cpu_s), float(peak_mib), words)
