@@ -97,7 +97,7 @@ def _looked_at(read: Iterator[Snapshot], config: ReplayConfig, fuser: Fuser, eac
         fusions, pair_changes = _look_at_pairs(snapshot, placements, joins, fuser, priors, config, each)
         ties = priors.fixed_edges(snapshot.grids, snapshot.robots)
         tied = joins.held | ties
-        kept = separated(tied, config.never, [pair for pair in tied if _are_together(pair, placements)])
+        kept = separated(tied, config.never, {pair for pair in tied if _are_together(pair, placements)})
         update = groups.update(kept, config.reference or priors.world(ties, snapshot.robots))
         placements = update.placements
         contradicted = [_contradicted(pair, misfit) for pair, misfit in update.dropped.items()]

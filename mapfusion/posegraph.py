@@ -82,6 +82,8 @@ def separated(
     Fixed edges are kept first, then `standing` ones, then the most confident (Kruskal's way, where a union that would
     bring such a pair together is skipped).
     """
+    if not never:
+        return dict(edges)
     members = {robot: frozenset({robot}) for pair in edges for robot in pair}
 
     def rank(pair: Pair) -> tuple[object, ...]:
