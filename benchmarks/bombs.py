@@ -13,9 +13,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the tests' own makers of recordings
 
-from tests.reliability.bombs import BOMBS, MOST_MIB, cost
-
-MOST_S = 1.0
+from tests.reliability.bombs import BOMBS, MOST_MIB, MOST_S, cost
 
 
 def main() -> int:

@@ -46,7 +46,7 @@ def test_every_type_of_a_release_is_taken() -> None:
     ],
 )
 def test_definitions_that_ask_for_trouble(text: str, words: str) -> None:
-    with ends(), pytest.raises(DefinitionError, match=words):
+    with ends(1.0), pytest.raises(DefinitionError, match=words):
         store_from("demo/msg/Thing", "ros1msg", text.encode("latin-1"))
 
 

@@ -287,7 +287,7 @@ def lying_lz4() -> bytes:
 )
 def test_bombs_and_nonsense_are_refused_and_the_rest_is_read(tmp_path: Path, bad: bytes, kind: str) -> None:
     recording = recording_of(tmp_path, HEADER + CHANNEL + message(b"a") + bad + message(b"b") + END)
-    with ends():
+    with ends(1.0):
         assert [data for *_, data in delivered(recording)] == [b"a", b"b"]
     assert [loss.kind for loss in recording.losses] == [kind]
 
@@ -302,7 +302,7 @@ def test_bombs_and_nonsense_are_refused_and_the_rest_is_read(tmp_path: Path, bad
 )
 def test_floods_end_the_reading(tmp_path: Path, tail: bytes, kind: str) -> None:
     recording = recording_of(tmp_path, HEADER + CHANNEL + message(b"a") + tail)
-    with ends():
+    with ends(2.0):
         assert len(delivered(recording)) == 1
     assert [loss.kind for loss in recording.losses] == [kind]
 
@@ -425,7 +425,7 @@ def test_an_index_of_chunks_that_are_not_there(tmp_path: Path) -> None:
 
     for content in (indexed(30_000, 50), indexed(3, 2**64 - 200)):
         recording = recording_of(tmp_path, content)
-        with ends():
+        with ends(3.0):
             assert len(delivered(recording)) == 1
         assert {loss.kind for loss in recording.losses} <= {"damaged record", "missing chunk", "further losses"}
         assert recording.losses

@@ -99,6 +99,6 @@ def test_metadata_cannot_take_the_time(hostile: str, tmp_path: Path) -> None:
     write_rosbag2(tmp_path / "run", MESSAGES, StoragePlugin.MCAP)
     path = tmp_path / "run" / "metadata.yaml"
     path.write_text(path.read_text() + hostile)
-    with ends():
+    with ends(2.0):
         recording = open_one(tmp_path / "run")
     assert delivered(recording) == MESSAGES

@@ -89,7 +89,7 @@ def test_damaged_bags_end_in_an_error_or_with_losses(tmp_path: Path) -> None:
         path.write_bytes(damaged)
         recording = open_one(path)
         try:
-            with ends():
+            with ends(5.0):
                 found = delivered(recording)
         except LogReadError as error:
             outcomes["error"] += len(str(error).splitlines()) == 2
@@ -199,7 +199,7 @@ def test_settings_that_would_take_minutes_to_parse_are_refused(tmp_path: Path) -
     connection.execute("UPDATE topics SET offered_qos_profiles = ?", ["- {a: b}\n" * 500_000])
     connection.commit()
     connection.close()
-    with ends(), pytest.raises(LogReadError, match="QoS profiles"):
+    with ends(1.0), pytest.raises(LogReadError, match="QoS profiles"):
         delivered(Sqlite3Recording(path))
 
 

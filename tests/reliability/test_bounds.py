@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,11 @@ import pytest
 from mcap.reader import make_reader
 
 from mapfusion.steps import GridEvent
-from mapfusion_io.mission import MissionOptions, open_recording
+from mapfusion_io.mission import Mission, MissionOptions, open_recording
 from mapfusion_io.read_limits import ReadLimits
-from tests.ending import LONGEST_S, ends
+from tests.ending import least_cpu_s
 from tests.io.making import Sent, cdr, mcap_bytes, tf_message
-from tests.reliability.bombs import BOMBS, MOST_MIB, cost
+from tests.reliability.bombs import BOMBS, MOST_MIB, MOST_S, cost
 from tests.reliability.missions import START_NS, TF, grid, mission, sent
 from tests.reliability.running import command
 
@@ -34,13 +35,13 @@ REFUSED = {
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads its peak memory from /proc")
 @pytest.mark.parametrize("name", BOMBS)
-def test_bombs_are_refused_within_300_mib(name: str, tmp_path: Path) -> None:
+def test_bombs_are_refused_in_a_second_and_300_mib(name: str, tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     recording.write_bytes(BOMBS[name])
     found = cost(recording)
     assert REFUSED[name] in found.words
     assert found.peak_mib < MOST_MIB
-    assert found.cpu_s < LONGEST_S
+    assert found.cpu_s < MOST_S or least_cpu_s(lambda: cost(recording).cpu_s, MOST_S) < MOST_S
 
 
 def with_big_map(robot: str, cells: int) -> list[Sent]:
@@ -117,10 +118,17 @@ def test_hundred_thousand_topics_frames_and_tiny_messages(tmp_path: Path) -> Non
     ]
     topics = [Sent(f"/noise{index}", "std_msgs/msg/Empty", START_NS, b"\0\1\0\0\0") for index in range(12_000)]
     recording.write_bytes(mcap_bytes([*mission(1), *topics, *transforms], chunk_size=2**20))
-    with ends():
+    opened: list[Mission] = []
+
+    def read() -> float:
+        began_s = time.process_time()
         found = open_recording([recording])
+        opened.append(found)
         assert sum(1 for event in found.events() if isinstance(event, GridEvent)) == 2
-    assert [(loss.kind, loss.topic) for loss in found.losses] == [("over limit", "/tf")]
+        return time.process_time() - began_s
+
+    assert least_cpu_s(read, 10.0) < 10.0
+    assert [(loss.kind, loss.topic) for loss in opened[0].losses] == [("over limit", "/tf")]
 
 
 def test_a_robot_placed_far_away_does_not_blow_up_the_merged_map(tmp_path: Path) -> None:
